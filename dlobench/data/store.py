@@ -1,0 +1,177 @@
+"""Keeps shards on disk so that nothing half-written is ever taken for data.
+
+A shard is one float32 array (trajectories, 21, 111) in `<set key>/<domain>/<first>.npy`. Its JSON sidecar, with the
+SHA-256 of the array and where it came from, is written last: a shard without a valid sidecar does not exist yet.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dlobench import machine
+from dlobench.data.sets import PUSHES, DomainSet, Unit
+from dlobench.domain import MAX_BODIES, MAX_SEGMENTS, Domain
+from dlobench.errors import RunError
+from dlobench.trajectories import Trajectories, concatenate, geometry
+
+# Columns of a shard, in order: fields of `Trajectories` flattened. The last row of the actions is 0.
+COLUMNS = {"pusher": 2, "dlo": MAX_SEGMENTS * 3, "bodies": MAX_BODIES * 3, "commanded": 2, "executed": 2}
+WIDTH = sum(COLUMNS.values())
+SCHEMA = 1
+_FIELDS = {"schema", "unit", "key", "domain", "sha256", "bytes", "account", "seconds", "versions", "cpu"}
+
+Rows = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Broken(RunError):
+    """Says which shard is broken and how."""
+
+    path: Path
+    why: str
+
+    def __str__(self) -> str:
+        return f"shard {self.path} is broken ({self.why}); `dlobench data repair` generates it again"
+
+
+def pack(trajectories: Trajectories) -> Rows:
+    """Flattens trajectories into the rows of a shard: (K, T+1, 111)."""
+    K, T = len(trajectories), trajectories.pushes
+    out = np.zeros((K, T + 1, WIDTH), np.float32)
+    column = 0
+    for name, width in COLUMNS.items():
+        rows = getattr(trajectories, name)
+        out[:, : rows.shape[1], column : column + width] = rows.reshape(K, rows.shape[1], width)
+        column += width
+    return out
+
+
+def unpack(rows: Rows, domain: Domain) -> Trajectories:
+    """Reads the rows of a shard as trajectories of its domain."""
+    K, states, _ = rows.shape
+    fields, column = {}, 0
+    for name, width in COLUMNS.items():
+        part = rows[:, :, column : column + width]
+        part = part[:, :-1] if name in ("commanded", "executed") else part
+        fields[name] = part.reshape(K, part.shape[1], -1, 3) if name in ("dlo", "bodies") else part
+        column += width
+    dlo_mask, body_mask, boxes = geometry(domain)
+    return Trajectories(dlo_mask=dlo_mask, body_mask=body_mask, boxes=boxes, **fields)
+
+
+@dataclass(frozen=True)
+class Store:
+    """Reads and writes the shards under one data folder."""
+
+    root: Path
+
+    def path(self, of: DomainSet, unit: Unit) -> Path:
+        """Returns where a unit's array is kept; its sidecar has the suffix .json."""
+        return self.root / of.key / f"{unit.domain:05d}" / f"{unit.first:06d}.npy"
+
+    def sidecar(self, of: DomainSet, unit: Unit) -> dict[str, Any] | None:
+        """Returns a shard's sidecar, or None where the shard is still to be made.
+
+        Raises `Broken` when sidecar and array do not belong together. Reads no array; `load` checks every byte.
+        """
+        path = self.path(of, unit)
+        try:
+            found = json.loads(path.with_suffix(".json").read_text())
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError) as error:
+            raise Broken(path, f"unreadable sidecar: {error}") from error
+        if not isinstance(found, dict) or not found.keys() >= _FIELDS or found["schema"] != SCHEMA:
+            raise Broken(path, "its sidecar is not one of ours")
+        if found["key"] != of.key or found["unit"] != asdict(unit) or found["domain"] != of.domain(unit.domain).to_json():
+            raise Broken(path, f"it was made for another set, domain or version than {of.key}")
+        try:
+            size = path.stat().st_size
+        except OSError as error:
+            raise Broken(path, f"its array is missing: {error.strerror}") from error
+        if size != found["bytes"]:
+            raise Broken(path, f"{size} bytes, {found['bytes']} were written")
+        return found
+
+    def load(self, of: DomainSet, unit: Unit) -> Trajectories:
+        """Loads a shard, every byte checked against its digest; raises `Broken`."""
+        found = self.sidecar(of, unit)
+        path = self.path(of, unit)
+        if found is None:
+            raise Broken(path, "it has no sidecar")
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise Broken(path, f"unreadable: {error.strerror}") from error
+        if hashlib.sha256(content).hexdigest() != found["sha256"]:
+            raise Broken(path, "its SHA-256 differs from the one in its sidecar")
+        rows = np.load(io.BytesIO(content), allow_pickle=False)
+        if rows.shape != (unit.count, PUSHES + 1, WIDTH) or rows.dtype != np.float32 or not np.isfinite(rows).all():
+            raise Broken(path, f"{rows.dtype} {rows.shape} is not a finite shard")
+        return unpack(rows, of.domain(unit.domain))
+
+    def load_domain(self, of: DomainSet, index: int, trajectories: int) -> Trajectories:
+        """Loads the first `trajectories` of a domain; raises `Broken`."""
+        parts = [self.load(of, unit) for unit in of.units([index], trajectories)]
+        return concatenate(parts).take(slice(trajectories))
+
+    def write(self, of: DomainSet, unit: Unit, trajectories: Trajectories, account: dict[str, int], seconds: float) -> None:
+        """Writes a shard: array first, sidecar last, each under a temporary name, synced, renamed.
+
+        Raises `RunError` when the disk refuses; then nothing half-written remains.
+        """
+        buffer = io.BytesIO()
+        np.save(buffer, pack(trajectories), allow_pickle=False)
+        content = buffer.getvalue()
+        about = {
+            "schema": SCHEMA,
+            "unit": asdict(unit),
+            "key": of.key,
+            "domain": of.domain(unit.domain).to_json(),
+            "seed": of.seed(unit.domain, unit.first),
+            "sha256": hashlib.sha256(content).hexdigest(),
+            "bytes": len(content),
+            "account": account,
+            "seconds": round(seconds, 3),
+            "versions": machine.versions(),
+            "cpu": machine.cpu(),
+        }
+        path = self.path(of, unit)
+        atomic_write(path, content)
+        atomic_write(path.with_suffix(".json"), json.dumps(about, indent=1).encode())
+
+    def discard(self, of: DomainSet, unit: Unit) -> None:
+        """Forgets a shard: removes its sidecar, so that it counts as still to be made."""
+        self.path(of, unit).with_suffix(".json").unlink(missing_ok=True)
+
+
+def atomic_write(path: Path, content: bytes) -> None:
+    """Writes a file so that it is there whole or not at all; raises `RunError` when the disk refuses."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with temporary.open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except OSError as error:
+        raise RunError(f"cannot write {path}: {error.strerror}") from error

@@ -1,0 +1,184 @@
+"""Describes one world: the physical parameters of the paper's section 2.2, and how they are sampled.
+
+A `Domain` is what a model never sees. Everything here is SI: metres, kilograms, newtons, radians.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from dlobench.errors import UsageError
+
+Material = Literal["soft", "flexible", "elastoplastic"]
+Attachment = Literal["none", "movable", "fixed"]
+
+MATERIALS: tuple[Material, ...] = get_args(Material)
+ATTACHMENTS: tuple[Attachment, ...] = get_args(Attachment)
+
+SEGMENT_LENGTH = 0.005  # m
+MAX_SEGMENTS = 32
+MAX_BODIES = 3
+MAX_BOXES = 5  # boxes of the largest rigid shape
+BOX_SIZE = 0.015  # m, the edge of every box
+DLO_RADIUS = 0.0024  # m
+WORKSPACE = 0.25  # m, the edge of the square between the walls
+
+LENGTHS = tuple(c / 100 for c in range(10, 17))  # m, whole centimetres
+SURFACE_FRICTION = (0.2, 0.8)
+BODY_FRICTION = (0.2, 0.8)
+DLO_DENSITY = (700.0, 1400.0)  # kg/m³
+BOX_DENSITY = (1200.0, 8000.0)  # kg/m³
+
+# Bending stiffness EI in N m² and yield curvature in 1/m; docs/adr/0003 says why these.
+STIFFNESS: dict[Material, tuple[float, float]] = {
+    "soft": (3e-7, 3e-6),
+    "flexible": (3e-5, 2e-4),
+    "elastoplastic": (5e-5, 2e-4),
+}
+YIELD_CURVATURE = (0.5, 2.0)
+
+# Cells of the box grid that each shape occupies (paper, Fig. 5): three bars, six L and T composites.
+SHAPES: dict[str, tuple[tuple[int, int], ...]] = {
+    "bar2": ((0, 0), (1, 0)),
+    "bar3": ((0, 0), (1, 0), (2, 0)),
+    "bar4": ((0, 0), (1, 0), (2, 0), (3, 0)),
+    "L3": ((0, 0), (1, 0), (0, 1)),
+    "L4": ((0, 0), (1, 0), (2, 0), (0, 1)),
+    "J4": ((0, 0), (1, 0), (2, 0), (2, 1)),
+    "L5": ((0, 0), (1, 0), (2, 0), (0, 1), (0, 2)),
+    "T4": ((0, 0), (1, 0), (2, 0), (1, 1)),
+    "T5": ((0, 0), (1, 0), (2, 0), (1, 1), (1, 2)),
+}
+
+
+def _check_range(field: str, value: float, low: float, high: float, unit: str = "") -> None:
+    if not (math.isfinite(value) and low <= value <= high):
+        raise UsageError(f"{field} = {value!r} is outside {low:g}–{high:g}{unit and ' ' + unit}")
+
+
+def _check_choice(field: str, value: object, choices: tuple[str, ...]) -> None:
+    if value not in choices:
+        raise UsageError(f"{field} = {value!r} is not one of {', '.join(choices)}")
+
+
+@dataclass(frozen=True)
+class RigidBody:
+    """Describes one composite body of boxes (paper, section 2.2 and Fig. 5).
+
+    Raises `UsageError` for an unknown shape, a wrong number of densities or a value outside its range.
+    """
+
+    shape: str  # a key of SHAPES
+    densities: tuple[float, ...]  # kg/m³, one a box, in the order of SHAPES[shape]
+    friction: float
+
+    def __post_init__(self) -> None:
+        _check_choice("shape", self.shape, tuple(SHAPES))
+        if len(self.densities) != len(SHAPES[self.shape]):
+            raise UsageError(
+                f"densities holds {len(self.densities)} values, shape {self.shape!r} has {len(SHAPES[self.shape])} boxes"
+            )
+        for density in self.densities:
+            _check_range("box density", density, *BOX_DENSITY, "kg/m³")
+        _check_range("body friction", self.friction, *BODY_FRICTION)
+
+    def boxes(self) -> np.ndarray:
+        """Returns the boxes about the centroid of the shape: (boxes, 5) x m, y m, yaw rad, half sizes m."""
+        cells = np.asarray(SHAPES[self.shape], dtype=float)
+        out = np.zeros((len(cells), 5))
+        out[:, :2] = (cells - cells.mean(axis=0)) * BOX_SIZE
+        out[:, 3:] = BOX_SIZE / 2
+        return out
+
+
+@dataclass(frozen=True)
+class Domain:
+    """Describes the physical parameters of one world (paper, section 2.2).
+
+    Raises `UsageError`, naming field, value and range, for anything outside the documented ranges.
+    """
+
+    surface_friction: float
+    length: float  # m, whole centimetres
+    density: float  # kg/m³
+    material: Material
+    bending_stiffness: float  # EI, N m²
+    yield_curvature: float | None  # 1/m; None never yields
+    attachment: Attachment
+    bodies: tuple[RigidBody, ...] = ()
+
+    def __post_init__(self) -> None:
+        _check_range("surface_friction", self.surface_friction, *SURFACE_FRICTION)
+        if not any(math.isclose(self.length, length, abs_tol=1e-9) for length in LENGTHS):
+            raise UsageError(f"length = {self.length!r} m is not a whole centimetre from 0.10 to 0.16 m")
+        _check_range("density", self.density, *DLO_DENSITY, "kg/m³")
+        _check_choice("material", self.material, MATERIALS)
+        _check_range(
+            f"bending_stiffness of {self.material}", self.bending_stiffness, *STIFFNESS[self.material], "N m²"
+        )
+        if (self.yield_curvature is not None) != (self.material == "elastoplastic"):
+            raise UsageError(f"yield_curvature = {self.yield_curvature!r} does not go with material {self.material!r}")
+        if self.yield_curvature is not None:
+            _check_range("yield_curvature", self.yield_curvature, *YIELD_CURVATURE, "1/m")
+        _check_choice("attachment", self.attachment, ATTACHMENTS)
+        if len(self.bodies) > MAX_BODIES:
+            raise UsageError(f"bodies holds {len(self.bodies)} rigid bodies, at most {MAX_BODIES} are possible")
+
+    @property
+    def segments(self) -> int:
+        """Returns the number of 5 mm segments, 20 to 32."""
+        return round(self.length / SEGMENT_LENGTH)
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns the fields as JSON values; `from_json` reads them back exactly."""
+        return asdict(self)
+
+    @staticmethod
+    def from_json(fields: dict[str, Any]) -> Domain:
+        """Builds a domain from what `to_json` wrote; raises `UsageError` on a missing or unknown field."""
+        try:
+            bodies = tuple(RigidBody(**{**b, "densities": tuple(b["densities"])}) for b in fields["bodies"])
+            return Domain(**{**fields, "bodies": bodies})
+        except (KeyError, TypeError) as error:
+            raise UsageError(f"not a domain: {error}") from error
+
+
+def sample_body(rng: np.random.Generator) -> RigidBody:
+    """Samples a shape, one density a box and a friction coefficient, each uniformly."""
+    shape = str(rng.choice(list(SHAPES)))
+    densities = rng.uniform(*BOX_DENSITY, size=len(SHAPES[shape]))
+    return RigidBody(shape, tuple(float(d) for d in densities), float(rng.uniform(*BODY_FRICTION)))
+
+
+def sample(
+    rng: np.random.Generator, *, material: Material, attachment: Attachment, length: float, rigid_objects: int
+) -> Domain:
+    """Samples the parameters that a cell leaves open: uniformly, stiffness and yield curvature log-uniformly.
+
+    `length` is in m. Raises `UsageError` for a cell outside the documented ranges.
+    """
+    _check_choice("material", material, MATERIALS)
+    if not 0 <= rigid_objects <= MAX_BODIES:
+        raise UsageError(f"rigid_objects = {rigid_objects!r} is outside 0–{MAX_BODIES}")
+
+    def log_uniform(low: float, high: float) -> float:
+        return float(np.clip(np.exp(rng.uniform(np.log(low), np.log(high))), low, high))
+
+    surface_friction = float(rng.uniform(*SURFACE_FRICTION))
+    density = float(rng.uniform(*DLO_DENSITY))
+    stiffness = log_uniform(*STIFFNESS[material])
+    yield_curvature = log_uniform(*YIELD_CURVATURE)  # drawn for every material, so that the stream stays aligned
+    return Domain(
+        surface_friction=surface_friction,
+        length=length,
+        density=density,
+        material=material,
+        bending_stiffness=stiffness,
+        yield_curvature=yield_curvature if material == "elastoplastic" else None,
+        attachment=attachment,
+        bodies=tuple(sample_body(rng) for _ in range(rigid_objects)),
+    )

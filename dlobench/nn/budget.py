@@ -1,0 +1,38 @@
+"""Limits a fit and listens to it: `Budget` says when to stop, `Log` carries the learning curves."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+Listener = Callable[[int, int, dict[str, float]], None]
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Limits a fit; None is no limit. A model's own number of steps is cut to it, never raised."""
+
+    steps: int | None = None
+    minutes: float | None = None
+
+    def steps_of(self, wanted: int) -> int:
+        """Returns the steps to take when a model wants `wanted`."""
+        return wanted if self.steps is None else min(wanted, self.steps)
+
+    def clock(self) -> Callable[[], bool]:
+        """Starts the clock and returns a function that tells whether the minutes are spent."""
+        start = time.monotonic()
+        return lambda: self.minutes is not None and time.monotonic() - start > 60 * self.minutes
+
+
+@dataclass
+class Log:
+    """Carries a fit's progress to whoever listens: the record, the progress bar."""
+
+    listeners: list[Listener] = field(default_factory=list)
+
+    def __call__(self, step: int, total: int, **values: float) -> None:
+        """Reports that `step` of `total` steps are done, with losses or other curve values by name."""
+        for listener in self.listeners:
+            listener(step, total, values)

@@ -1,0 +1,112 @@
+"""Runs Adam on any loss until it is converged or the budget is spent, and the regressors built on that."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from dlobench.errors import RunError
+from dlobench.nn.budget import Budget, Log
+from dlobench.nn.networks import Layers, flat, mlp, weighted_mse
+from dlobench.nn.windows import Scaling, Windows
+from dlobench.trajectories import Prediction, Query
+
+REPORT = 25  # steps between two entries of the learning curve
+DIVERGED = 100.0  # times the first loss
+CHUNK = 8192  # windows a forward pass without gradient takes at once
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Says how long to descend and how fast."""
+
+    steps: int
+    learning_rate: float
+    patience: int  # validations without a new best before it stops
+    every: int = 500  # steps between two validations
+
+
+def descend(
+    weights: Sequence[Tensor],
+    train_loss: Callable[[], Tensor],
+    valid_loss: Callable[[], float] | None,
+    *,
+    plan: Plan,
+    budget: Budget,
+    log: Log,
+) -> None:
+    """Takes Adam steps on `weights`, in place, and leaves there the best of those that were validated.
+
+    `train_loss` draws its own batch; without `valid_loss` the last weights stay. Raises `RunError` when the loss
+    is not finite or has grown a hundredfold.
+    """
+    optimizer = torch.optim.Adam(weights, lr=plan.learning_rate, fused=True)
+    total, spent = budget.steps_of(plan.steps), budget.clock()
+    first, since, reported = math.nan, torch.zeros((), device=weights[0].device), 0
+    best, kept, waited = math.inf, [w.detach().clone() for w in weights], 0
+    for step in range(1, total + 1):
+        optimizer.zero_grad()
+        loss = train_loss()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+        since += loss.detach()
+        last = step == total or spent()
+        validate = valid_loss is not None and (last or step % plan.every == 0)
+        if step == 1 or step % REPORT == 0 or last or validate:
+            values = {"loss": since.item() / (step - reported)}  # reading the loss at every step would stall a GPU
+            since, reported = since.zero_(), step
+            first = values["loss"] if step == 1 else first
+            if not math.isfinite(values["loss"]) or values["loss"] > DIVERGED * first:
+                raise RunError(f"diverged at step {step} of {total}: loss {values['loss']:g}, at first {first:g}")
+            if validate and valid_loss is not None:
+                with torch.no_grad():
+                    values["valid"] = valid_loss()
+                if values["valid"] < best:
+                    best, kept, waited = values["valid"], [w.detach().clone() for w in weights], 0
+                else:
+                    waited += 1
+            log(step, total, **values)
+        if last or waited >= plan.patience:
+            break
+    if valid_loss is not None and best < math.inf:
+        with torch.no_grad():
+            for weight, value in zip(weights, kept, strict=True):
+                weight.copy_(value)
+
+
+def regress(
+    layers: Layers,
+    train: Windows,
+    valid: Windows | None,
+    *,
+    batch: int,
+    generator: torch.Generator,
+    plan: Plan,
+    budget: Budget,
+    log: Log,
+) -> None:
+    """Fits one network in place to the windows of all domains, pooled; batches are drawn from `generator`."""
+
+    def train_loss() -> Tensor:
+        index = torch.randint(len(train), (batch,), generator=generator).to(train.inputs.device)
+        inputs, targets, weight = train.pick(index)
+        return weighted_mse(mlp(layers, inputs), targets, weight)
+
+    def valid_loss(windows: Windows) -> float:
+        chunks = [windows.pick(slice(i, i + CHUNK)) for i in range(0, len(windows), CHUNK)]
+        return sum(float(weighted_mse(mlp(layers, x), y, w)) * len(x) for x, y, w in chunks) / len(windows)
+
+    check = None if valid is None else lambda: valid_loss(valid)
+    descend(flat(layers), train_loss, check, plan=plan, budget=budget, log=log)
+
+
+@torch.no_grad()
+def predict(layers: Layers, scaling: Scaling, query: Query) -> Prediction:
+    """Returns what the network says of any number of queries: one sample, no bodies."""
+    inputs, device = scaling.inputs(query), layers[0][0].device
+    outputs = [mlp(layers, chunk.to(device)).cpu() for chunk in torch.split(inputs, CHUNK)]
+    return Prediction(dlo=scaling.positions(torch.cat(outputs), query)[None])

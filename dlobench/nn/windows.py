@@ -1,0 +1,163 @@
+"""Turns trajectories and queries into flat, standardised tensors.
+
+D domains hold R trajectories of `starts` windows each. The F features of a window are: pusher 2, segments 64,
+bodies 12 where asked for, actions 2 n.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dlobench.domain import MAX_SEGMENTS
+from dlobench.errors import RunError
+from dlobench.trajectories import Floats, Query, Trajectories
+
+Target = Literal["displacement", "absolute"]
+
+COORDINATES = 2 * MAX_SEGMENTS
+CONSTANT = 1e-7  # a feature that spreads less (in m, or in cosines) is constant: float32 tells no less apart
+CHUNK = 1024  # trajectories handled at once, so that temporaries stay small
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Holds every window of R trajectories; the trajectories of a domain are neighbours."""
+
+    inputs: Tensor  # (R, starts, F)  padding is 0
+    targets: Tensor  # (R, starts, 64)  padding is 0
+    exists: Tensor  # (D, F)  which features are not padding
+    weight: Tensor  # (D, 64)  of each coordinate in the loss: 0 for padding, each row sums to 1
+    domain: Tensor  # (R,)  the domain of each trajectory
+    count: Tensor  # (D,)  how many trajectories each domain has
+
+    def __len__(self) -> int:
+        return self.inputs.shape[0] * self.inputs.shape[1]
+
+    def pick(self, index: Tensor | slice) -> tuple[Tensor, Tensor, Tensor]:
+        """Returns inputs (B, F), targets (B, 64) and weights (B, 64) of B windows, numbered from 0 to len − 1."""
+        if isinstance(index, slice):
+            index = torch.arange(*index.indices(len(self)), device=self.inputs.device)
+        weight = self.weight[self.domain[index // self.inputs.shape[1]]]
+        return self.inputs.flatten(0, 1)[index], self.targets.flatten(0, 1)[index], weight
+
+    def pick_trajectories(self, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Returns all windows of J trajectories for each of N tasks, where `rows` (N, J) keeps to one domain a task.
+
+        Inputs (N, J starts, F), targets (N, J starts, 64), weights (N, 1, 64).
+        """
+        weight = self.weight[self.domain[rows[:, 0]]]
+        return self.inputs[rows].flatten(1, 2), self.targets[rows].flatten(1, 2), weight[:, None]
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """Says what windows hold, and how they spread over the training domains."""
+
+    horizon: int  # n, pushes ahead
+    bodies: bool  # whether the features hold the rigid bodies
+    target: Target
+    mean: Tensor  # (F,)  of the features where they exist, SI
+    std: Tensor  # (F,)  1 for a constant feature
+    target_std: float  # m, one for all coordinates, so that the MSE keeps its meaning
+
+    def windows(self, domains: Sequence[Trajectories], device: str = "cpu") -> Windows:
+        """Returns the standardised windows; raises `RunError` on a value that is not finite."""
+        return self._standardise(_gather(domains, self.horizon, self.bodies, self.target), device)
+
+    def inputs(self, query: Query) -> Tensor:
+        """Returns the standardised features (B, F); raises `RunError` when the horizon is not the fitted one."""
+        if query.horizon != self.horizon:
+            raise RunError(f"the query looks {query.horizon} pushes ahead, the model was fitted for {self.horizon}")
+        scaled = _features(query, self.bodies).sub_(self.mean).div_(self.std)
+        return scaled.masked_fill_(~_exists(query, self.bodies, self.horizon), 0)
+
+    def positions(self, outputs: Tensor, query: Query) -> Floats:
+        """Returns the segments (B, 32, 2) in m that outputs (B, 64) stand for, 0 where there is no segment."""
+        positions: Floats = outputs.cpu().numpy().reshape(-1, MAX_SEGMENTS, 2) * np.float32(self.target_std)
+        if self.target == "displacement":
+            positions += query.dlo[..., :2]
+        positions[:, ~query.dlo_mask] = 0
+        return positions
+
+    def _standardise(self, raw: Windows, device: str) -> Windows:
+        """Scales the windows in place, which spares a second copy of the data."""
+        raw.inputs.sub_(self.mean).div_(self.std).masked_fill_(~raw.exists[raw.domain][:, None], 0)
+        raw.targets.div_(self.target_std)
+        return Windows(**{name: value.to(device) for name, value in vars(raw).items()})
+
+
+def standardise(
+    train: Sequence[Trajectories], *, horizon: int, bodies: bool, target: Target, device: str = "cpu"
+) -> tuple[Windows, Scaling]:
+    """Returns the windows of the training domains, and the scaling fitted on them.
+
+    Raises `RunError` when there are no trajectories, when they differ in pushes, or on a value that is not finite.
+    """
+    raw = _gather(train, horizon, bodies, target)
+    mean, variance, _ = _moments(raw.inputs, raw.exists[raw.domain])
+    _, target_variance, number = _moments(raw.targets, raw.weight[raw.domain] > 0)
+    std, target_std = variance.sqrt(), float((target_variance * number).sum().div(number.sum()).sqrt())
+    std[std < CONSTANT] = 1
+    target_std = target_std if target_std >= CONSTANT else 1.0
+    scaling = Scaling(horizon, bodies, target, mean.float(), std.float(), target_std)
+    return scaling._standardise(raw, device), scaling
+
+
+def _features(query: Query, bodies: bool) -> Tensor:
+    """Returns the features (B, F) in SI."""
+    columns = [query.pusher, query.dlo[..., :2]]
+    if bodies:
+        yaw = query.bodies[..., 2:]
+        columns.append(np.concatenate([query.bodies[..., :2], np.cos(yaw), np.sin(yaw)], axis=-1))
+    flat = [column.reshape(len(query), math.prod(column.shape[1:])) for column in [*columns, query.actions]]
+    return torch.from_numpy(np.concatenate(flat, axis=1, dtype=np.float32))
+
+
+def _exists(source: Query | Trajectories, bodies: bool, horizon: int) -> Tensor:
+    """Returns which of the F features are not padding."""
+    poses = np.repeat(source.body_mask, 4 if bodies else 0)
+    parts = [np.ones(2, bool), np.repeat(source.dlo_mask, 2), poses, np.ones(2 * horizon, bool)]
+    return torch.from_numpy(np.concatenate(parts))
+
+
+def _gather(domains: Sequence[Trajectories], horizon: int, bodies: bool, target: Target) -> Windows:
+    """Returns the windows in SI."""
+    count = torch.tensor([len(domain) for domain in domains], dtype=torch.long)
+    if not count.sum():
+        raise RunError(f"no trajectories to learn from in {len(domains)} domains")
+    if len({domain.pushes for domain in domains}) > 1:
+        raise RunError(f"trajectories differ in pushes: {sorted({domain.pushes for domain in domains})}")
+    exists = torch.stack([_exists(domain, bodies, horizon) for domain in domains])
+    shape = int(count.sum()), domains[0].pushes - horizon + 1
+    inputs, targets = torch.empty(*shape, exists.shape[1]), torch.empty(*shape, COORDINATES)
+    row = 0
+    for number, domain in enumerate(domains):
+        for start in range(0, len(domain), CHUNK):
+            query, after = domain.take(slice(start, start + CHUNK)).windows(horizon)
+            moved = after.dlo[0] - query.dlo[..., :2] if target == "displacement" else after.dlo[0].copy()
+            moved[:, ~domain.dlo_mask] = 0
+            rows = slice(row, row := row + len(query) // shape[1])
+            inputs[rows] = _features(query, bodies).view(-1, *inputs.shape[1:])
+            targets[rows] = torch.from_numpy(moved).view(-1, *targets.shape[1:])
+            if not (inputs[rows].isfinite().all() and targets[rows].isfinite().all()):
+                raise RunError(f"domain {number} of {len(domains)} holds a position or action that is not finite")
+    mask = torch.from_numpy(np.stack([np.repeat(domain.dlo_mask, 2) for domain in domains])).float()
+    domain_of = torch.arange(len(domains)).repeat_interleave(count)
+    return Windows(inputs, targets, exists, mask / mask.sum(1, keepdim=True), domain_of, count)
+
+
+def _moments(values: Tensor, exists: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Returns mean, variance and number of the values (R, starts, F) that exist (R, F), in float64; never, then 0."""
+    chunks = list(zip(torch.split(values, CHUNK), torch.split(exists[:, None], CHUNK), strict=True))
+    number = exists.sum(0).mul(values.shape[1]).double()
+    mean = torch.stack([(v.double() * e).sum((0, 1)) for v, e in chunks]).sum(0) / number.clamp_min(1)
+    # Two passes, since the difference of two large sums would give a constant feature a spread.
+    squares = torch.stack([((v.double() - mean) * e).square().sum((0, 1)) for v, e in chunks]).sum(0)
+    return mean, squares / number.clamp_min(1), number

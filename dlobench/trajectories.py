@@ -1,0 +1,131 @@
+"""Holds what a model sees: trajectories, queries and predictions. The one home of shapes and units.
+
+SI, world frame, origin at the centre of the workspace, float32. B queries, K trajectories of T pushes,
+n actions ahead, S samples. Padded segments and bodies are 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dlobench.domain import MAX_BODIES, MAX_BOXES, MAX_SEGMENTS, Domain
+
+Floats = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Query:
+    """Holds B moments of one domain, and the next n actions of each."""
+
+    dlo: Floats  # (B, 32, 3)  segment centres x m, y m, yaw rad
+    dlo_mask: Mask  # (32,)  which segments exist
+    pusher: Floats  # (B, 2)  x m, y m
+    bodies: Floats  # (B, 3, 3)  rigid bodies x m, y m, yaw rad
+    body_mask: Mask  # (3,)  which bodies exist
+    boxes: Floats  # (3, 5, 5)  each body's boxes in its frame: x m, y m, yaw rad, half sizes m
+    actions: Floats  # (B, n, 2)  the next displacements of the pusher, m
+
+    def __len__(self) -> int:
+        return len(self.dlo)
+
+    @property
+    def horizon(self) -> int:
+        """Returns n, the number of actions ahead."""
+        return self.actions.shape[1]
+
+    def take(self, index: NDArray[np.intp]) -> Query:
+        """Returns the queries at `index`, in its order."""
+        rows = {name: getattr(self, name)[index] for name in ("dlo", "pusher", "bodies", "actions")}
+        return Query(dlo_mask=self.dlo_mask, body_mask=self.body_mask, boxes=self.boxes, **rows)
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Holds S samples of the state after the last action of each of B queries. The truth is one with S = 1."""
+
+    dlo: Floats  # (S, B, 32, 2)  segment centres x m, y m
+    bodies: Floats | None = None  # (S, B, 3, 3)  x m, y m, yaw rad; None where a model does not predict them
+
+
+@dataclass(frozen=True)
+class Trajectories:
+    """Holds K trajectories of T pushes in one domain. What is unobserved (the `Domain`) is not here."""
+
+    dlo: Floats  # (K, T+1, 32, 3)  segment centres x m, y m, yaw rad
+    dlo_mask: Mask  # (32,)  which segments exist
+    pusher: Floats  # (K, T+1, 2)  x m, y m
+    bodies: Floats  # (K, T+1, 3, 3)  rigid bodies x m, y m, yaw rad
+    body_mask: Mask  # (3,)  which bodies exist
+    boxes: Floats  # (3, 5, 5)  each body's boxes in its frame: x m, y m, yaw rad, half sizes m
+    commanded: Floats  # (K, T, 2)  displacement asked for, m
+    executed: Floats  # (K, T, 2)  displacement asked for plus execution noise, m
+
+    def __len__(self) -> int:
+        return len(self.dlo)
+
+    @property
+    def pushes(self) -> int:
+        """Returns T, the number of pushes of each trajectory."""
+        return self.executed.shape[1]
+
+    def take(self, index: slice | NDArray[np.intp]) -> Trajectories:
+        """Returns the trajectories at `index`."""
+        rows = {name: getattr(self, name)[index] for name in ("dlo", "pusher", "bodies", "commanded", "executed")}
+        return Trajectories(dlo_mask=self.dlo_mask, body_mask=self.body_mask, boxes=self.boxes, **rows)
+
+    def windows(self, horizon: int) -> tuple[Query, Prediction]:
+        """Returns every window of `horizon` executed pushes, trajectory by trajectory, and the state after it.
+
+        B = K (T − horizon + 1). Raises `ValueError` when the horizon does not fit into a trajectory.
+        """
+        K, T = len(self), self.pushes
+        if not 1 <= horizon <= T:
+            raise ValueError(f"horizon = {horizon} does not fit into trajectories of {T} pushes")
+        starts = T - horizon + 1
+        ahead = np.arange(starts)[:, None] + np.arange(horizon)
+
+        def flat(rows: Floats) -> Floats:
+            return rows.reshape(K * starts, *rows.shape[2:])
+
+        query = Query(
+            dlo=flat(self.dlo[:, :starts]),
+            dlo_mask=self.dlo_mask,
+            pusher=flat(self.pusher[:, :starts]),
+            bodies=flat(self.bodies[:, :starts]),
+            body_mask=self.body_mask,
+            boxes=self.boxes,
+            actions=flat(self.executed[:, ahead]),
+        )
+        truth = Prediction(dlo=flat(self.dlo[:, horizon:, :, :2])[None], bodies=flat(self.bodies[:, horizon:])[None])
+        return query, truth
+
+
+def geometry(domain: Domain) -> tuple[Mask, Mask, Floats]:
+    """Returns what is visible of a domain: dlo_mask (32,), body_mask (3,) and boxes (3, 5, 5)."""
+    dlo_mask = np.arange(MAX_SEGMENTS) < domain.segments
+    body_mask = np.arange(MAX_BODIES) < len(domain.bodies)
+    boxes = np.zeros((MAX_BODIES, MAX_BOXES, 5), np.float32)
+    for row, body in zip(boxes, domain.bodies, strict=False):
+        placed = body.boxes()
+        row[: len(placed)] = placed
+    return dlo_mask, body_mask, boxes
+
+
+def concatenate(parts: Sequence[Trajectories]) -> Trajectories:
+    """Joins trajectories of one domain; raises `ValueError` when their geometry differs."""
+    first = parts[0]
+    for part in parts[1:]:
+        if not all(np.array_equal(getattr(part, f), getattr(first, f)) for f in ("dlo_mask", "body_mask", "boxes")):
+            raise ValueError("trajectories of different domains cannot be joined")
+    shared = {"dlo_mask", "body_mask", "boxes"}
+    rows = {
+        f.name: np.concatenate([getattr(part, f.name) for part in parts])
+        for f in fields(Trajectories)
+        if f.name not in shared
+    }
+    return Trajectories(dlo_mask=first.dlo_mask, body_mask=first.body_mask, boxes=first.boxes, **rows)

@@ -1,0 +1,139 @@
+"""Simulates many trajectories of one domain at once, on `mujoco.batch`.
+
+A trajectory depends on its domain and seed alone: not on its neighbours in the batch, nor on the number of threads.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch, SimulationError
+from numpy.typing import NDArray
+
+from dlobench.domain import Domain
+from dlobench.errors import RunError
+from dlobench.trajectories import Trajectories, geometry
+from dlobench.world import actions, scene, starts
+from dlobench.world.state import Array, State, controls, fixed_point, observe, place
+
+PUSHES = 20  # n_P, pushes a trajectory
+RETRIES = 20  # derived seeds that a trajectory may use up before its domain is called broken
+
+
+@dataclass
+class Streams:
+    """Holds the random streams of one trajectory, so that what one draws never shifts another."""
+
+    start: np.random.Generator
+    action: np.random.Generator
+    noise: np.random.Generator
+
+    @staticmethod
+    def of(seed: Sequence[int]) -> Streams:
+        """Derives the streams from a seed of whole numbers."""
+        return Streams(*(np.random.default_rng([*seed, stream]) for stream in range(3)))
+
+
+class Simulator:
+    """Steps S simulations of one domain, push by push."""
+
+    def __init__(
+        self, domain: Domain, simulations: int, threads: int = 1, timestep: float = scene.TIMESTEP
+    ) -> None:
+        self.domain = domain
+        self.model = scene.build(domain, timestep)
+        self.layout = scene.layout(self.model, domain)
+        self._batch = Batch(self.model, simulations, threads, persistent=True)  # sleeping needs it
+        self._xpos, self._xmat = self._batch.bind("xpos"), self._batch.bind("xmat")
+        self.failed = np.zeros(simulations, dtype=bool)  # raised or warned since the reset
+
+    def reset(self, begin: Sequence[starts.Start]) -> State:
+        """Places every simulation at its start, lets it settle for the time of a push, and returns the state."""
+        self._batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+        self.failed[:] = False
+        placed = [place(self.model, self.layout, self.domain, start) for start in begin]
+        for name in ("qpos", "plastic", "mocap_pos", "mocap_quat"):
+            self._batch.bind(name)[:] = np.stack([getattr(p, name) for p in placed])
+        return self.push(np.zeros((len(placed), 2)))
+
+    def push(self, displacement: Array) -> State:
+        """Moves every pusher by its (S, 2) m displacement and returns the state after the push."""
+        qpos = self._batch.bind("qpos")
+        plan = controls(qpos[:, self.layout.pusher_qpos], displacement, self.model.opt.timestep)
+        self._batch.bind("act")[:] = 0
+        with contextlib.suppress(SimulationError):  # the others have finished; status says which raised
+            self._batch.rollout(plan.shape[1], plan)
+        self.failed |= (self._batch.status != 0) | self._batch.warning.reshape(len(self.failed), -1).any(axis=1)
+        self._batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
+        return observe(self.layout, self._xpos, self._xmat)
+
+    def fixed_cylinders(self) -> Array | None:
+        """Returns the (S, 2) places of the fixed cylinders, m, or None."""
+        return fixed_point(self.layout, self.domain, self._xpos)
+
+
+@dataclass(frozen=True)
+class Account:
+    """Counts what was thrown away on the way to some trajectories."""
+
+    commands_redrawn: int  # infeasible commands
+    commands: int  # feasible commands
+    trajectories_redrawn: int  # simulations that raised or warned
+
+
+def simulate(
+    domain: Domain, seeds: Sequence[Sequence[int]], threads: int = 1, pushes: int = PUSHES
+) -> tuple[Trajectories, Account]:
+    """Simulates one trajectory a seed, with biased pushes executed with noise.
+
+    A trajectory whose simulation raises or warns is redrawn from its seed and the attempt's number, and counted.
+    Raises `RunError` when one fails too often.
+    """
+    done: dict[int, list[Array]] = {}
+    missing = list(range(len(seeds)))
+    commands = redrawn = failures = 0
+    for attempt in range(RETRIES):
+        rows, count, failed = _attempt(domain, [[*seeds[i], attempt] for i in missing], threads, pushes)
+        commands, redrawn = commands + len(missing) * pushes, redrawn + count
+        failures += int(failed.sum())
+        done |= {i: [field[k] for field in rows] for k, i in enumerate(missing) if not failed[k]}
+        missing = [i for k, i in enumerate(missing) if failed[k]]
+        if not missing:
+            break
+    else:
+        raise RunError(f"{RETRIES} simulations in a row failed from seed {list(seeds[missing[0]])} in {domain}")
+    dlo, pusher, bodies, commanded, executed = (
+        np.stack([done[i][f] for i in range(len(seeds))]).astype(np.float32) for f in range(5)
+    )
+    dlo_mask, body_mask, boxes = geometry(domain)
+    trajectories = Trajectories(dlo, dlo_mask, pusher, bodies, body_mask, boxes, commanded, executed)
+    return trajectories, Account(redrawn, commands, failures)
+
+
+def _attempt(
+    domain: Domain, seeds: Sequence[Sequence[int]], threads: int, pushes: int
+) -> tuple[list[Array], int, NDArray[np.bool_]]:
+    """Returns the five recorded arrays (S first), the number of commands redrawn and who failed."""
+    streams = [Streams.of(seed) for seed in seeds]
+    simulator = Simulator(domain, len(seeds), threads)
+    state = simulator.reset([starts.sample(domain, s.start) for s in streams])
+    fixed = simulator.fixed_cylinders()
+    states, commanded, executed = [state], [], []
+    redrawn = 0
+    for _ in range(pushes):
+        command, noise = np.zeros((2, len(seeds), 2))
+        for s in np.flatnonzero(~simulator.failed):
+            dlo = state.dlo[s, : domain.segments, :2]
+            command[s], again = actions.draw(streams[s].action, state.pusher[s], dlo, None if fixed is None else fixed[s])
+            noise[s] = actions.noise(streams[s].noise)
+            redrawn += again
+        state = simulator.push(command + noise)
+        states.append(state)
+        commanded.append(command)
+        executed.append(command + noise)
+    poses = [np.stack([getattr(s, name) for s in states], axis=1) for name in ("dlo", "pusher", "bodies")]
+    return [*poses, np.stack(commanded, axis=1), np.stack(executed, axis=1)], redrawn, simulator.failed

@@ -1,0 +1,130 @@
+"""Predicts an unseen domain after one gradient step on K of its trajectories (the paper's meta-learner, Table 1)."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from dlobench.bench.model import Model, Setting
+from dlobench.errors import RunError
+from dlobench.nn.fit import Plan, descend, predict
+from dlobench.nn.networks import Layers, detached, flat, initial, mlp, size, stacked, weighted_mse
+from dlobench.nn.windows import COORDINATES, Scaling, Target, Windows, standardise
+from dlobench.trajectories import Prediction, Query, Trajectories
+
+Batch = tuple[Tensor, Tensor, Tensor]  # inputs (N, B, F), targets (N, B, 64), weights (N, 1, 64)
+
+
+def inner_step(layers: Layers, rates: Tensor, support: Batch, *, differentiable: bool) -> Layers:
+    """Returns N networks, stacked, each one gradient step from `layers` on its own task; `rates` (L,) one a layer.
+
+    The tasks share no weight in the stack, so the gradient of the sum of their losses holds the gradient of each.
+    """
+    inputs, targets, weight = support
+    start = stacked(layers, len(inputs))
+    loss = weighted_mse(mlp(start, inputs), targets, weight).sum()
+    slopes = iter(torch.autograd.grad(loss, flat(start), create_graph=differentiable))
+    return [(w - r * next(slopes), b - r * next(slopes)) for (w, b), r in zip(start, rates, strict=True)]
+
+
+def meta_loss(layers: Layers, rates: Tensor, support: Batch, query: Batch, *, differentiable: bool = True) -> Tensor:
+    """Returns the loss on the query windows after the inner step, the mean over tasks."""
+    adapted = inner_step(layers, rates, support, differentiable=differentiable)
+    return weighted_mse(mlp(adapted, query[0]), query[1], query[2]).mean()
+
+
+@dataclass
+class Maml(Model):
+    """Learns weights from which one gradient step on K trajectories of a new domain gives a model of that domain.
+
+    Follows the paper's section 3 and appendix: MAML (Finn et al. 2017) of second order, 6 hidden layers of 32,
+    LeakyReLU, no bodies, one inner step, an inner rate a layer that is learned (shared by its weights and bias,
+    positive as an exponential). Each meta step draws N domains, with replacement, and from each of them K support
+    and `queries` other trajectories. K is drawn from the positive ones of `setting.K`, or 1 if there are none,
+    unless `K_train` fixes it. Where the smallest domain has fewer than K + 1 trajectories, K is cut to half of them.
+    Ours differs in predicting displacements of standardised states unless `target="absolute"`, and in the rate of Adam.
+    Shapes: (B, 66 + 2 n) to (B, 64). Cost: 0.01 M parameters; TIME.
+    """
+
+    N: int = 5  # tasks a meta step
+    K_train: int | None = None  # support trajectories of a task while learning
+    queries: int = 10  # query trajectories of a task while learning, at most
+    width: int = 32
+    depth: int = 6  # hidden layers
+    learning_rate: float = 1e-3
+    inner_rate: float = 0.1  # at first
+    steps: int = 6000
+    patience: int = 20  # validations, 100 steps apart, without a new best
+    target: Target = "displacement"
+
+    layers: Layers = field(default_factory=list, init=False, repr=False, compare=False)
+    rates: Tensor = field(default_factory=lambda: torch.empty(0), init=False, repr=False, compare=False)  # (depth + 1,)
+    scaling: Scaling = field(init=False, repr=False, compare=False)
+
+    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
+        """Learns the weights to start from and the inner rates; validates on adapted models of unseen domains."""
+        windows, self.scaling = standardise(
+            train, horizon=setting.horizon, bodies=False, target=self.target, device=self.device
+        )
+        generator = torch.Generator().manual_seed(self.seed)
+        sizes = [windows.inputs.shape[-1], *[self.width] * self.depth, COORDINATES]
+        layers = initial(sizes, generator, self.device)
+        log_rates = torch.full((len(layers),), self.inner_rate, device=self.device).log_().requires_grad_()
+        supports = [self.K_train] if self.K_train else [K for K in setting.K if K > 0] or [1]
+
+        def train_loss() -> Tensor:
+            K = supports[int(torch.randint(len(supports), (), generator=generator))]
+            domains = torch.randint(len(windows.count), (self.N,), generator=generator)
+            return meta_loss(layers, log_rates.exp(), *self._draw(windows, domains, K, generator))
+
+        unseen = self.scaling.windows(valid, self.device) if valid else None
+        # Several draws a domain, the same at every validation: one support of K = 1 says little.
+        again = torch.arange(len(valid)).repeat(4)
+        fixed = [self._draw(unseen, again, K, generator) for K in supports] if unseen else []
+
+        @torch.enable_grad()
+        def valid_loss() -> float:
+            losses = [meta_loss(layers, log_rates.exp(), *pair, differentiable=False) for pair in fixed]
+            return torch.stack(losses).mean().item()
+
+        plan = Plan(self.steps, self.learning_rate, self.patience, every=100)
+        check = valid_loss if fixed else None
+        descend([*flat(layers), log_rates], train_loss, check, plan=plan, budget=setting.budget, log=setting.log)
+        self.layers, self.rates = detached(layers), log_rates.detach().exp()
+
+    def _draw(self, windows: Windows, domains: Tensor, K: int, generator: torch.Generator) -> tuple[Batch, Batch]:
+        """Draws K support and other query trajectories for each task, the same numbers for all."""
+        fewest, most = int(windows.count.min()), int(windows.count.max())
+        if fewest < 2:
+            raise RunError(f"a domain has {fewest} trajectories, a task needs 2: one to adapt on, one to be scored on")
+        K = K if K < fewest else fewest // 2
+        order = torch.rand(len(domains), most, generator=generator)
+        order[torch.arange(most) >= windows.count.cpu()[domains, None]] = 1  # no trajectory there, so never drawn
+        drawn = order.topk(min(K + self.queries, fewest), largest=False).indices
+        first = windows.count.cumsum(0) - windows.count
+        rows = drawn.to(first.device) + first[domains.to(first.device), None]
+        return windows.pick_trajectories(rows[:, :K]), windows.pick_trajectories(rows[:, K:])
+
+    def adapt(self, support: Trajectories) -> Maml:
+        """Returns a copy that took one gradient step on the support windows; itself when there are none."""
+        if not len(support):
+            return self
+        windows = self.scaling.windows([support], self.device)
+        rows = torch.arange(len(support), device=self.device)[None]
+        layers = [(w.requires_grad_(), b.requires_grad_()) for w, b in detached(self.layers)]
+        adapted = inner_step(layers, self.rates, windows.pick_trajectories(rows), differentiable=False)
+        model = copy.copy(self)
+        model.layers = detached([(weight[0], bias[0]) for weight, bias in adapted])
+        return model
+
+    def predict(self, query: Query, samples: int) -> Prediction:
+        """Returns the segments (1, B, 32, 2)."""
+        return predict(self.layers, self.scaling, query)
+
+    def parameters(self) -> int:
+        """Returns the number of weights, biases and inner rates."""
+        return size(self.layers) + self.rates.numel()

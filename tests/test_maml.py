@@ -1,0 +1,188 @@
+"""Tests the meta-learner: its gradient against a loop over tasks, its rates, its adaptation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from test_nn import generator, load
+from torch import Tensor
+from toy import error, toy_domains
+
+from dlobench.bench.model import Setting
+from dlobench.errors import RunError
+from dlobench.nn import networks
+from dlobench.nn.budget import Log
+from dlobench.nn.windows import standardise
+
+maml = load("maml")
+
+
+def problem(tasks: int = 3) -> tuple[networks.Layers, Tensor, Any, Any]:
+    """Returns double layers, rates, support and query; the second task has padding."""
+    rng = generator()
+    layers = [(w.detach().double(), b.detach().double()) for w, b in networks.initial([5, 8, 8, 64], rng)]
+    layers = [(w.requires_grad_(), b.requires_grad_()) for w, b in layers]
+    rates = torch.tensor([0.3, 0.5, 0.8], dtype=torch.float64, requires_grad=True)
+    weight = torch.full((tasks, 1, 64), 1 / 64, dtype=torch.float64)
+    weight[1] = (torch.arange(64) < 40).double() / 40
+
+    def batch(size: int) -> tuple[Tensor, Tensor, Tensor]:
+        inputs = torch.randn(tasks, size, 5, generator=rng, dtype=torch.float64)
+        return inputs, torch.randn(tasks, size, 64, generator=rng, dtype=torch.float64), weight
+
+    return layers, rates, batch(6), batch(9)
+
+
+def looped_loss(layers: networks.Layers, rates: Tensor, support: Any, query: Any) -> Tensor:
+    """Computes the meta loss task by task, with plain autograd and without any code of the plugin."""
+    losses = []
+    for task in range(len(support[0])):
+
+        def loss(weights: list[Tensor], batch: Any, task: int = task) -> Tensor:
+            hidden = batch[0][task]
+            for layer in range(3):
+                hidden = hidden @ weights[2 * layer] + weights[2 * layer + 1]
+                hidden = torch.where(hidden > 0, hidden, 0.01 * hidden) if layer < 2 else hidden
+            exists = batch[2][task, 0] > 0
+            squares: Tensor = (hidden - batch[1][task])[:, exists].square()
+            return squares.mean()
+
+        start = networks.flat(layers)
+        slopes = torch.autograd.grad(loss(start, support), start, create_graph=True)
+        losses.append(loss([w - rates[i // 2] * g for i, (w, g) in enumerate(zip(start, slopes, strict=True))], query))
+    return torch.stack(losses).mean()
+
+
+def test_batched_meta_gradient_equals_a_loop_over_tasks() -> None:
+    layers, rates, support, query = problem()
+    learned = [*networks.flat(layers), rates]
+    batched, looped = (f(layers, rates, support, query) for f in (maml.meta_loss, looped_loss))
+    torch.testing.assert_close(batched, looped, rtol=1e-12, atol=1e-12)
+    for ours, theirs in zip(torch.autograd.grad(batched, learned), torch.autograd.grad(looped, learned), strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=1e-10, atol=1e-12)
+        assert ours.abs().max() > 1e-6
+
+
+def test_meta_gradient_is_of_second_order() -> None:
+    layers, rates, support, query = problem()
+    second, first = (
+        torch.autograd.grad(maml.meta_loss(layers, rates, support, query, differentiable=d), layers[0][0])[0]
+        for d in (True, False)
+    )
+    assert (second - first).norm() > 0.01 * second.norm()
+
+
+def test_each_rate_moves_its_own_layer() -> None:
+    layers, _, support, _ = problem()
+    rates = torch.tensor([0.0, 0.5, 0.0], dtype=torch.float64)
+    adapted = maml.inner_step(layers, rates, support, differentiable=False)
+    for number, ((weight, bias), (new_weight, new_bias)) in enumerate(zip(layers, adapted, strict=True)):
+        assert torch.equal(weight.expand_as(new_weight), new_weight) == (number != 1)
+        assert torch.equal(bias.expand_as(new_bias), new_bias) == (number != 1)
+
+
+@pytest.fixture(scope="module")
+def fitted() -> Any:
+    model = maml.Maml(width=16, depth=2, steps=600, learning_rate=3e-3, queries=4)
+    domains = toy_domains(40, trajectories=12)
+    model.fit(domains[:36], domains[36:], Setting(horizon=2, K=(0, 1, 5)))
+    return model
+
+
+def test_rates_are_learned_one_a_layer_and_positive(fitted: Any) -> None:
+    assert fitted.rates.shape == (3,)
+    assert (fitted.rates > 0).all() and len(set(fitted.rates.tolist())) == 3
+    assert (fitted.rates != fitted.inner_rate).all() and fitted.rates.max() - fitted.rates.min() > 0.01
+    assert fitted.parameters() == networks.size(fitted.layers) + 3
+
+
+def test_adapting_helps_on_unseen_domains_and_more_trajectories_help_more(fitted: Any) -> None:
+    errors: dict[int, list[float]] = {0: [], 1: [], 5: []}
+    for domain in toy_domains(20, seed=1, trajectories=15):
+        query, truth = domain.take(slice(5, 15)).windows(2)
+        for K, values in errors.items():
+            model = fitted.adapt(domain.take(slice(0, K)))
+            values.append(error(model.predict(query, 1).dlo, truth.dlo, query.dlo_mask))
+    mean = {K: np.mean(values) for K, values in errors.items()}
+    assert mean[5] < mean[1] < mean[0] and mean[5] < 0.5 * mean[0]
+
+
+def test_adapt_lowers_the_support_loss_and_leaves_self_unchanged(fitted: Any) -> None:
+    [domain] = toy_domains(1, seed=2, trajectories=5)
+    query, truth = domain.windows(2)
+    before = fitted.predict(query, 1).dlo
+    kept = [w.clone() for w in networks.flat(fitted.layers)]
+    adapted = fitted.adapt(domain)
+    np.testing.assert_array_equal(fitted.predict(query, 1).dlo, before)
+    assert all(torch.equal(a, b) for a, b in zip(kept, networks.flat(fitted.layers), strict=True))
+    assert type(adapted) is type(fitted) and adapted is not fitted and adapted.N == fitted.N
+    assert error(adapted.predict(query, 1).dlo, truth.dlo, query.dlo_mask) < error(before, truth.dlo, query.dlo_mask)
+    again = fitted.adapt(domain).predict(query, 1).dlo
+    np.testing.assert_array_equal(again, adapted.predict(query, 1).dlo)
+    assert fitted.adapt(domain.take(slice(0, 0))) is fitted
+    assert not any(w.requires_grad for w in networks.flat(adapted.layers))
+
+
+def test_adapt_takes_the_step_it_was_trained_with(fitted: Any) -> None:
+    [domain] = toy_domains(1, seed=2, trajectories=5)
+    made = fitted.scaling.windows([domain])
+    layers = [(w.clone().requires_grad_(), b.clone().requires_grad_()) for w, b in fitted.layers]
+    inputs, targets, weight = made.pick(slice(None))
+    loss = networks.weighted_mse(networks.mlp(layers, inputs), targets, weight)
+    slopes = torch.autograd.grad(loss, networks.flat(layers))
+    for i, adapted in enumerate(networks.flat(fitted.adapt(domain).layers)):
+        expected = networks.flat(layers)[i] - fitted.rates[i // 2] * slopes[i]
+        torch.testing.assert_close(adapted, expected.detach(), rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize(("sizes", "K", "expected"), [((12, 12), 5, (5, 4)), ((6, 9), 5, (5, 1)), ((5, 9), 5, (2, 3))])
+def test_support_and_query_are_disjoint_and_of_one_domain(
+    sizes: tuple[int, ...], K: int, expected: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    domains = [toy_domains(1, seed=n, trajectories=n)[0] for n in sizes]
+    made, _ = standardise(domains, horizon=2, bodies=False, target="displacement")
+    drawn: list[Tensor] = []
+    monkeypatch.setattr(type(made), "pick_trajectories", lambda self, rows: drawn.append(rows))
+    model, rng, tasks = maml.Maml(queries=4), generator(), torch.tensor([0, 1, 1, 0] * 25)
+    model._draw(made, tasks, K, rng)
+    support, query = drawn
+    assert (support.shape[1], query.shape[1]) == expected
+    rows = torch.cat(drawn, dim=1)
+    assert all(len(set(row)) == len(row) for row in rows.tolist())
+    assert torch.equal(made.domain[rows], tasks[:, None].expand_as(rows))
+    assert set(rows.flatten().tolist()) == set(range(sum(sizes)))  # every trajectory gets its turn
+
+
+def test_a_domain_with_one_trajectory_is_refused() -> None:
+    with pytest.raises(RunError, match="a domain has 1 trajectories"):
+        maml.Maml(steps=1).fit(toy_domains(2, trajectories=1), [], Setting(horizon=2, K=(1,)))
+
+
+@pytest.mark.parametrize(("K_train", "Ks", "expected"), [(None, (0, 1, 3), {1, 3}), (2, (0, 1, 3), {2}), (None, (0,), {1})])
+def test_support_sizes_follow_the_setting(K_train: int | None, Ks: tuple[int, ...], expected: set[int]) -> None:
+    model = maml.Maml(K_train=K_train, steps=20)
+    drawn: set[int] = set()
+    draw = model._draw
+
+    def spy(windows: Any, domains: Tensor, K: int, rng: torch.Generator) -> Any:
+        drawn.add(K)
+        return draw(windows, domains, K, rng)
+
+    model._draw = spy
+    model.fit(toy_domains(3, trajectories=6), [], Setting(horizon=2, K=Ks))
+    assert drawn == expected
+
+
+def test_validation_is_logged_and_ragged_domains_are_fine() -> None:
+    domains = [toy_domains(1, seed=n, trajectories=n, segments=20 + n)[0] for n in (4, 6, 9, 12)]
+    valid: list[float] = []
+    log = Log([lambda step, total, values: valid.append(values.get("valid", np.nan))])
+    model = maml.Maml(steps=200)
+    model.fit(domains[:2], domains[2:], Setting(horizon=2, K=(1, 50), log=log))
+    assert np.isfinite(valid).sum() == 2
+    query, _ = replace(domains[3]).windows(2)
+    assert np.isfinite(model.adapt(domains[3]).predict(query, 1).dlo).all()
