@@ -135,7 +135,8 @@ class Domain:
 
     def to_json(self) -> dict[str, Any]:
         """Returns the fields as JSON values; `from_json` reads them back exactly."""
-        return asdict(self)
+        bodies = [{**asdict(body), "densities": list(body.densities)} for body in self.bodies]
+        return {**asdict(self), "bodies": bodies}
 
     @staticmethod
     def from_json(fields: dict[str, Any]) -> Domain:

@@ -36,7 +36,7 @@ class Query:
     @property
     def horizon(self) -> int:
         """Returns n, the number of actions ahead."""
-        return self.actions.shape[1]
+        return int(self.actions.shape[1])
 
     def take(self, index: NDArray[np.intp]) -> Query:
         """Returns the queries at `index`, in its order."""
@@ -71,7 +71,7 @@ class Trajectories:
     @property
     def pushes(self) -> int:
         """Returns T, the number of pushes of each trajectory."""
-        return self.executed.shape[1]
+        return int(self.executed.shape[1])
 
     def take(self, index: slice | NDArray[np.intp]) -> Trajectories:
         """Returns the trajectories at `index`."""

@@ -11,29 +11,32 @@ from torch import Tensor
 
 from dlobench.bench.model import Model, Setting
 from dlobench.errors import RunError
-from dlobench.nn.fit import Plan, descend, predict
-from dlobench.nn.networks import Layers, detached, flat, initial, mlp, size, stacked, weighted_mse
-from dlobench.nn.windows import COORDINATES, Scaling, Target, Windows, standardise
+from dlobench.nn.fit import Network, Plan, descend
+from dlobench.nn.networks import Layers, detached, flat, initial, mlp, stacked, weighted_mse
+from dlobench.nn.windows import COORDINATES, Target, Windows, standardise
 from dlobench.trajectories import Prediction, Query, Trajectories
 
 Batch = tuple[Tensor, Tensor, Tensor]  # inputs (N, B, F), targets (N, B, 64), weights (N, 1, 64)
 
 
-def inner_step(layers: Layers, rates: Tensor, support: Batch, *, differentiable: bool) -> Layers:
+def inner_step(layers: Layers, rates: Tensor, support: Batch) -> Layers:
     """Returns N networks, stacked, each one gradient step from `layers` on its own task; `rates` (L,) one a layer.
 
     The tasks share no weight in the stack, so the gradient of the sum of their losses holds the gradient of each.
     """
     inputs, targets, weight = support
+
+    def loss(stack: Layers) -> Tensor:
+        return weighted_mse(mlp(stack, inputs), targets, weight).sum()
+
     start = stacked(layers, len(inputs))
-    loss = weighted_mse(mlp(start, inputs), targets, weight).sum()
-    slopes = iter(torch.autograd.grad(loss, flat(start), create_graph=differentiable))
-    return [(w - r * next(slopes), b - r * next(slopes)) for (w, b), r in zip(start, rates, strict=True)]
+    slopes = torch.func.grad(loss)(start)
+    return [(w - r * dw, b - r * db) for (w, b), (dw, db), r in zip(start, slopes, rates, strict=True)]
 
 
-def meta_loss(layers: Layers, rates: Tensor, support: Batch, query: Batch, *, differentiable: bool = True) -> Tensor:
+def meta_loss(layers: Layers, rates: Tensor, support: Batch, query: Batch) -> Tensor:
     """Returns the loss on the query windows after the inner step, the mean over tasks."""
-    adapted = inner_step(layers, rates, support, differentiable=differentiable)
+    adapted = inner_step(layers, rates, support)
     return weighted_mse(mlp(adapted, query[0]), query[1], query[2]).mean()
 
 
@@ -46,8 +49,9 @@ class Maml(Model):
     positive as an exponential). Each meta step draws N domains, with replacement, and from each of them K support
     and `queries` other trajectories. K is drawn from the positive ones of `setting.K`, or 1 if there are none,
     unless `K_train` fixes it. Where the smallest domain has fewer than K + 1 trajectories, K is cut to half of them.
-    Ours differs in predicting displacements of standardised states unless `target="absolute"`, and in the rate of Adam.
-    Shapes: (B, 66 + 2 n) to (B, 64). Cost: 0.01 M parameters; TIME.
+    Ours differs in the rate of Adam (the paper's is 1e-4) and in predicting displacements of standardised states
+    unless `target="absolute"`. Shapes: (B, 66 + 2 n) to (B, 64).
+    Cost: 9,799 parameters at n = 4; on one core about 9 ms a meta step at N = 5, K = 10, and 55 ms at N = 50.
     """
 
     N: int = 5  # tasks a meta step
@@ -61,13 +65,12 @@ class Maml(Model):
     patience: int = 20  # validations, 100 steps apart, without a new best
     target: Target = "displacement"
 
-    layers: Layers = field(default_factory=list, init=False, repr=False, compare=False)
-    rates: Tensor = field(default_factory=lambda: torch.empty(0), init=False, repr=False, compare=False)  # (depth + 1,)
-    scaling: Scaling = field(init=False, repr=False, compare=False)
+    network: Network = field(init=False, repr=False, compare=False)
+    rates: Tensor = field(init=False, repr=False, compare=False)  # (depth + 1,)
 
     def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
         """Learns the weights to start from and the inner rates; validates on adapted models of unseen domains."""
-        windows, self.scaling = standardise(
+        windows, scaling = standardise(
             train, horizon=setting.horizon, bodies=False, target=self.target, device=self.device
         )
         generator = torch.Generator().manual_seed(self.seed)
@@ -81,20 +84,19 @@ class Maml(Model):
             domains = torch.randint(len(windows.count), (self.N,), generator=generator)
             return meta_loss(layers, log_rates.exp(), *self._draw(windows, domains, K, generator))
 
-        unseen = self.scaling.windows(valid, self.device) if valid else None
+        unseen = scaling.windows(valid, self.device) if valid else None
         # Several draws a domain, the same at every validation: one support of K = 1 says little.
         again = torch.arange(len(valid)).repeat(4)
         fixed = [self._draw(unseen, again, K, generator) for K in supports] if unseen else []
 
-        @torch.enable_grad()
         def valid_loss() -> float:
-            losses = [meta_loss(layers, log_rates.exp(), *pair, differentiable=False) for pair in fixed]
+            losses = [meta_loss(layers, log_rates.exp(), *pair) for pair in fixed]
             return torch.stack(losses).mean().item()
 
         plan = Plan(self.steps, self.learning_rate, self.patience, every=100)
         check = valid_loss if fixed else None
         descend([*flat(layers), log_rates], train_loss, check, plan=plan, budget=setting.budget, log=setting.log)
-        self.layers, self.rates = detached(layers), log_rates.detach().exp()
+        self.network, self.rates = Network(detached(layers), scaling), log_rates.detach().exp()
 
     def _draw(self, windows: Windows, domains: Tensor, K: int, generator: torch.Generator) -> tuple[Batch, Batch]:
         """Draws K support and other query trajectories for each task, the same numbers for all."""
@@ -113,18 +115,18 @@ class Maml(Model):
         """Returns a copy that took one gradient step on the support windows; itself when there are none."""
         if not len(support):
             return self
-        windows = self.scaling.windows([support], self.device)
+        windows = self.network.scaling.windows([support], self.device)
         rows = torch.arange(len(support), device=self.device)[None]
-        layers = [(w.requires_grad_(), b.requires_grad_()) for w, b in detached(self.layers)]
-        adapted = inner_step(layers, self.rates, windows.pick_trajectories(rows), differentiable=False)
+        with torch.no_grad():
+            adapted = inner_step(self.network.layers, self.rates, windows.pick_trajectories(rows))
         model = copy.copy(self)
-        model.layers = detached([(weight[0], bias[0]) for weight, bias in adapted])
+        model.network = Network([(weight[0], bias[0]) for weight, bias in adapted], self.network.scaling)
         return model
 
     def predict(self, query: Query, samples: int) -> Prediction:
         """Returns the segments (1, B, 32, 2)."""
-        return predict(self.layers, self.scaling, query)
+        return self.network.predict(query)
 
     def parameters(self) -> int:
         """Returns the number of weights, biases and inner rates."""
-        return size(self.layers) + self.rates.numel()
+        return self.network.parameters() + self.rates.numel()

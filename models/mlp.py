@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import torch
-
 from dlobench.bench.model import Model, Setting
-from dlobench.nn.fit import Plan, predict, regress
-from dlobench.nn.networks import Layers, initial, size
-from dlobench.nn.windows import COORDINATES, Scaling, Target, standardise
+from dlobench.nn.fit import Network, Plan, Regression, regress
+from dlobench.nn.windows import Target
 from dlobench.trajectories import Prediction, Query, Trajectories
 
 
@@ -21,7 +18,7 @@ class Mlp(Model):
     Follows the paper's section 3 and appendix: 4 hidden layers of 128, LeakyReLU, MSE, Adam at 2e-4, batches of 64.
     Ours differs in that it stops on validation trajectories, not on test ones, and predicts displacements of
     standardised states unless `target="absolute"`. Shapes: (B, 78 + 2 n) to (B, 64). Given many domains it pools
-    them. Cost: 0.07 M parameters; TIME.
+    them. Cost: 68,160 parameters at n = 1; on one core about 1 ms a step.
     """
 
     width: int = 128
@@ -32,32 +29,33 @@ class Mlp(Model):
     patience: int = 20  # validations, 500 steps apart, without a new best
     target: Target = "displacement"
 
-    layers: Layers = field(default_factory=list, init=False, repr=False, compare=False)
-    scaling: Scaling = field(init=False, repr=False, compare=False)
+    network: Network = field(init=False, repr=False, compare=False)
 
     def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
         """Pools the windows of all training domains and stops on the validation domains."""
-        windows, self.scaling = standardise(
-            train, horizon=setting.horizon, bodies=True, target=self.target, device=self.device
-        )
-        generator = torch.Generator().manual_seed(self.seed)
-        sizes = [windows.inputs.shape[-1], *[self.width] * self.depth, COORDINATES]
-        self.layers = initial(sizes, generator, self.device)
-        regress(
-            self.layers,
-            windows,
-            self.scaling.windows(valid, self.device) if valid else None,
+        how = Regression(
+            width=self.width,
+            depth=self.depth,
+            bodies=True,
+            target=self.target,
             batch=self.batch,
-            generator=generator,
             plan=Plan(self.steps, self.learning_rate, self.patience),
+        )
+        self.network = regress(
+            how,
+            train,
+            valid,
+            horizon=setting.horizon,
+            seed=self.seed,
+            device=self.device,
             budget=setting.budget,
             log=setting.log,
         )
 
     def predict(self, query: Query, samples: int) -> Prediction:
         """Returns the segments (1, B, 32, 2)."""
-        return predict(self.layers, self.scaling, query)
+        return self.network.predict(query)
 
     def parameters(self) -> int:
         """Returns the number of weights and biases."""
-        return size(self.layers)
+        return self.network.parameters()

@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import torch
-
 from dlobench.bench.model import Model, Setting
-from dlobench.nn.fit import Plan, predict, regress
-from dlobench.nn.networks import Layers, initial, size
-from dlobench.nn.windows import COORDINATES, Scaling, Target, standardise
+from dlobench.nn.fit import Network, Plan, Regression, regress
+from dlobench.nn.windows import Target
 from dlobench.trajectories import Prediction, Query, Trajectories
 
 
@@ -21,7 +18,7 @@ class Multitask(Model):
     Follows the paper's section 3 and appendix: 6 hidden layers of 32, LeakyReLU, MSE, no bodies, the network that
     `maml` starts from. Ours differs in the rate of Adam (the paper's is 1e-4, for 5e6 steps), and predicts
     displacements of standardised states unless `target="absolute"`. Shapes: (B, 66 + 2 n) to (B, 64).
-    Cost: 0.01 M parameters; TIME.
+    Cost: 9,792 parameters at n = 4; on one core about 0.7 ms a step.
     """
 
     width: int = 32
@@ -32,32 +29,33 @@ class Multitask(Model):
     patience: int = 20  # validations, 500 steps apart, without a new best
     target: Target = "displacement"
 
-    layers: Layers = field(default_factory=list, init=False, repr=False, compare=False)
-    scaling: Scaling = field(init=False, repr=False, compare=False)
+    network: Network = field(init=False, repr=False, compare=False)
 
     def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
         """Pools the windows of all training domains and stops on the validation domains."""
-        windows, self.scaling = standardise(
-            train, horizon=setting.horizon, bodies=False, target=self.target, device=self.device
-        )
-        generator = torch.Generator().manual_seed(self.seed)
-        sizes = [windows.inputs.shape[-1], *[self.width] * self.depth, COORDINATES]
-        self.layers = initial(sizes, generator, self.device)
-        regress(
-            self.layers,
-            windows,
-            self.scaling.windows(valid, self.device) if valid else None,
+        how = Regression(
+            width=self.width,
+            depth=self.depth,
+            bodies=False,
+            target=self.target,
             batch=self.batch,
-            generator=generator,
             plan=Plan(self.steps, self.learning_rate, self.patience),
+        )
+        self.network = regress(
+            how,
+            train,
+            valid,
+            horizon=setting.horizon,
+            seed=self.seed,
+            device=self.device,
             budget=setting.budget,
             log=setting.log,
         )
 
     def predict(self, query: Query, samples: int) -> Prediction:
         """Returns the segments (1, B, 32, 2)."""
-        return predict(self.layers, self.scaling, query)
+        return self.network.predict(query)
 
     def parameters(self) -> int:
         """Returns the number of weights and biases."""
-        return size(self.layers)
+        return self.network.parameters()

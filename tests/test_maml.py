@@ -162,7 +162,9 @@ def test_a_domain_with_one_trajectory_is_refused() -> None:
         maml.Maml(steps=1).fit(toy_domains(2, trajectories=1), [], Setting(horizon=2, K=(1,)))
 
 
-@pytest.mark.parametrize(("K_train", "Ks", "expected"), [(None, (0, 1, 3), {1, 3}), (2, (0, 1, 3), {2}), (None, (0,), {1})])
+@pytest.mark.parametrize(
+    ("K_train", "Ks", "expected"), [(None, (0, 1, 3), {1, 3}), (2, (0, 1, 3), {2}), (None, (0,), {1})]
+)
 def test_support_sizes_follow_the_setting(K_train: int | None, Ks: tuple[int, ...], expected: set[int]) -> None:
     model = maml.Maml(K_train=K_train, steps=20)
     drawn: set[int] = set()

@@ -48,7 +48,9 @@ def with_bodies(domain: Trajectories, seed: int = 0) -> Trajectories:
 def test_stacked_mlp_equals_each_network() -> None:
     rng = generator()
     nets = [networks.initial([7, 16, 16, 3], rng) for _ in range(4)]
-    stack = [(torch.stack(w), torch.stack(b)) for w, b in (zip(*layer, strict=True) for layer in zip(*nets, strict=True))]
+    stack = [
+        (torch.stack(w), torch.stack(b)) for w, b in (zip(*layer, strict=True) for layer in zip(*nets, strict=True))
+    ]
     inputs = torch.randn(4, 5, 7, generator=rng)
     each = torch.stack([networks.mlp(net, x) for net, x in zip(nets, inputs, strict=True)])
     torch.testing.assert_close(networks.mlp(stack, inputs), each, rtol=1e-5, atol=1e-6)
@@ -131,13 +133,16 @@ def test_padding_counts_neither_in_inputs_nor_in_loss_nor_in_output() -> None:
     rng = np.random.default_rng(0)
     train = [toy_domain(rng, trajectories=3, segments=n) for n in (20, 32)]
     junk = train[0].dlo.copy()
-    junk[:, :, 20:] = 7.0
+    junk[:, :, 20:] = 7 + rng.normal(size=junk[:, :, 20:].shape)
     spoiled = [replace(train[0], dlo=junk), train[1]]
     layers = networks.initial([2 + 64 + 4, 8, 64], generator())
     losses, scalings = [], []
     for domains in (train, spoiled):
         made, scaling = windows.standardise(domains, horizon=2, bodies=False, target="displacement")
         inputs, targets, weight = made.pick(slice(None))
+        assert (
+            not made.targets[made.domain == 0][..., 40:].any() and not made.inputs[made.domain == 0][..., 42:66].any()
+        )
         targets = targets + 100 * (weight == 0)  # even a wrong target in the padding is free
         losses.append(networks.weighted_mse(networks.mlp(layers, inputs), targets, weight))
         scalings.append(scaling)
@@ -188,6 +193,8 @@ def test_what_cannot_be_learnt_from_is_refused() -> None:
         windows.standardise([domain, replace(domain, executed=broken)], **options)
     with pytest.raises(RunError, match=r"differ in pushes: \[4, 6\]"):
         windows.standardise([domain, *toy_domains(1, trajectories=2, pushes=4)], **options)
+    with pytest.raises(RunError, match="horizon = 9 does not fit .* 6 pushes"):
+        windows.standardise([domain], **{**options, "horizon": 9})
     _, scaling = windows.standardise([domain], **options)
     with pytest.raises(RunError, match="3 pushes ahead.* fitted for 2"):
         scaling.inputs(domain.windows(3)[0])
@@ -253,7 +260,9 @@ def test_descend_names_step_and_loss_when_it_diverges() -> None:
     weight, _ = quadratic()
     growing = iter(range(1000))
     with pytest.raises(RunError, match=r"diverged at step 25 of 300: loss \d+.*, at first 1"):
-        fit.descend([weight], lambda: 0 * weight.sum() + 3.0 ** next(growing), None, plan=PLAN, budget=Budget(), log=Log())
+        fit.descend(
+            [weight], lambda: 0 * weight.sum() + 3.0 ** next(growing), None, plan=PLAN, budget=Budget(), log=Log()
+        )
 
 
 @pytest.mark.parametrize("name", ["mlp", "multitask"])
@@ -275,7 +284,9 @@ def make(name: str, **settings: Any) -> Model:
     """Builds the model of a plugin file."""
     module = load(name)
     [cls] = [
-        c for c in vars(module).values() if isinstance(c, type) and issubclass(c, Model) and c.__module__ == module.__name__
+        c
+        for c in vars(module).values()
+        if isinstance(c, type) and issubclass(c, Model) and c.__module__ == module.__name__
     ]
     model = cls(**settings)
     assert isinstance(model, Model)

@@ -105,6 +105,10 @@ class DomainSet:
         starts = (i * self.per_cell for i, cell in enumerate(self.cells) if extent.takes(cell))
         return [start + k for start in starts for k in range(extent.per_cell)]
 
+    def spread(self, scale: ScaleName) -> list[int]:
+        """Returns the same domains in an order that visits every cell before it comes back to the first."""
+        return sorted(self.domains(scale), key=lambda index: (index % self.per_cell, index))
+
     def pushes(self, scale: ScaleName) -> int:
         """Returns the number of pushes of a scale."""
         return len(self.domains(scale)) * self.extents[scale].trajectories * PUSHES

@@ -26,6 +26,7 @@ from dlobench.trajectories import Trajectories, concatenate, geometry
 # Columns of a shard, in order: fields of `Trajectories` flattened. The last row of the actions is 0.
 COLUMNS = {"pusher": 2, "dlo": MAX_SEGMENTS * 3, "bodies": MAX_BODIES * 3, "commanded": 2, "executed": 2}
 WIDTH = sum(COLUMNS.values())
+BYTES_A_PUSH = 4 * WIDTH * (PUSHES + 1) / PUSHES
 SCHEMA = 1
 _FIELDS = {"schema", "unit", "key", "domain", "sha256", "bytes", "account", "seconds", "versions", "cpu"}
 

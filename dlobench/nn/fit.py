@@ -1,4 +1,4 @@
-"""Runs Adam on any loss until it is converged or the budget is spent, and the regressors built on that."""
+"""Runs Adam on any loss until it is converged or the budget is spent, and fits networks so."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from torch import Tensor
 
 from dlobench.errors import RunError
 from dlobench.nn.budget import Budget, Log
-from dlobench.nn.networks import Layers, flat, mlp, weighted_mse
-from dlobench.nn.windows import Scaling, Windows
-from dlobench.trajectories import Prediction, Query
+from dlobench.nn.networks import Layers, detached, flat, initial, mlp, size, weighted_mse
+from dlobench.nn.windows import COORDINATES, Scaling, Target, Windows, standardise
+from dlobench.trajectories import Prediction, Query, Trajectories
 
 REPORT = 25  # steps between two entries of the learning curve
 DIVERGED = 100.0  # times the first loss
@@ -78,35 +78,67 @@ def descend(
                 weight.copy_(value)
 
 
+@dataclass(frozen=True)
+class Network:
+    """Joins a fitted network and the scaling of what goes in and comes out."""
+
+    layers: Layers
+    scaling: Scaling
+
+    @torch.no_grad()
+    def predict(self, query: Query) -> Prediction:
+        """Returns what the network says of any number of queries: one sample, no bodies."""
+        inputs, device = self.scaling.inputs(query), self.layers[0][0].device
+        outputs = [mlp(self.layers, chunk.to(device)).cpu() for chunk in torch.split(inputs, CHUNK)]
+        return Prediction(dlo=self.scaling.positions(torch.cat(outputs), query)[None])
+
+    def parameters(self) -> int:
+        """Returns the number of weights and biases."""
+        return size(self.layers)
+
+
+@dataclass(frozen=True)
+class Regression:
+    """Says what to regress: which network on which representation, how fast and for how long."""
+
+    width: int
+    depth: int  # hidden layers
+    bodies: bool  # whether the rigid bodies are features
+    target: Target
+    batch: int  # windows
+    plan: Plan
+
+
 def regress(
-    layers: Layers,
-    train: Windows,
-    valid: Windows | None,
+    how: Regression,
+    train: Sequence[Trajectories],
+    valid: Sequence[Trajectories],
     *,
-    batch: int,
-    generator: torch.Generator,
-    plan: Plan,
+    horizon: int,
+    seed: int,
+    device: str,
     budget: Budget,
     log: Log,
-) -> None:
-    """Fits one network in place to the windows of all domains, pooled; batches are drawn from `generator`."""
+) -> Network:
+    """Fits one network to the windows of all training domains, pooled, and stops on the validation domains.
+
+    Raises `RunError` when there is nothing to learn from, on values that are not finite, or when the fit diverges.
+    """
+    windows, scaling = standardise(train, horizon=horizon, bodies=how.bodies, target=how.target, device=device)
+    unseen = scaling.windows(valid, device) if valid else None
+    generator = torch.Generator().manual_seed(seed)
+    sizes = [windows.inputs.shape[-1], *[how.width] * how.depth, COORDINATES]
+    layers = initial(sizes, generator, device)
 
     def train_loss() -> Tensor:
-        index = torch.randint(len(train), (batch,), generator=generator).to(train.inputs.device)
-        inputs, targets, weight = train.pick(index)
+        index = torch.randint(len(windows), (how.batch,), generator=generator).to(device)
+        inputs, targets, weight = windows.pick(index)
         return weighted_mse(mlp(layers, inputs), targets, weight)
 
-    def valid_loss(windows: Windows) -> float:
-        chunks = [windows.pick(slice(i, i + CHUNK)) for i in range(0, len(windows), CHUNK)]
-        return sum(float(weighted_mse(mlp(layers, x), y, w)) * len(x) for x, y, w in chunks) / len(windows)
+    def valid_loss(of: Windows) -> float:
+        chunks = [of.pick(slice(i, i + CHUNK)) for i in range(0, len(of), CHUNK)]
+        return sum(float(weighted_mse(mlp(layers, x), y, w)) * len(x) for x, y, w in chunks) / len(of)
 
-    check = None if valid is None else lambda: valid_loss(valid)
-    descend(flat(layers), train_loss, check, plan=plan, budget=budget, log=log)
-
-
-@torch.no_grad()
-def predict(layers: Layers, scaling: Scaling, query: Query) -> Prediction:
-    """Returns what the network says of any number of queries: one sample, no bodies."""
-    inputs, device = scaling.inputs(query), layers[0][0].device
-    outputs = [mlp(layers, chunk.to(device)).cpu() for chunk in torch.split(inputs, CHUNK)]
-    return Prediction(dlo=scaling.positions(torch.cat(outputs), query)[None])
+    check = None if unseen is None else lambda: valid_loss(unseen)
+    descend(flat(layers), train_loss, check, plan=how.plan, budget=budget, log=log)
+    return Network(detached(layers), scaling)

@@ -134,6 +134,8 @@ def _gather(domains: Sequence[Trajectories], horizon: int, bodies: bool, target:
         raise RunError(f"no trajectories to learn from in {len(domains)} domains")
     if len({domain.pushes for domain in domains}) > 1:
         raise RunError(f"trajectories differ in pushes: {sorted({domain.pushes for domain in domains})}")
+    if not 1 <= horizon <= domains[0].pushes:
+        raise RunError(f"horizon = {horizon} does not fit into trajectories of {domains[0].pushes} pushes")
     exists = torch.stack([_exists(domain, bodies, horizon) for domain in domains])
     shape = int(count.sum()), domains[0].pushes - horizon + 1
     inputs, targets = torch.empty(*shape, exists.shape[1]), torch.empty(*shape, COORDINATES)

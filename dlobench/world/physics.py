@@ -16,6 +16,7 @@ class Physics(control.Physics):  # type: ignore[misc]  # dm_control is untyped
     """Simulates one domain: push by push, with named geometric queries."""
 
     def __init__(self, domain: Domain, timestep: float = scene.TIMESTEP) -> None:
+        mujoco.set_mju_user_warning(scene.quiet)
         self.domain = domain
         self.model = scene.build(domain, timestep)
         self.data = mujoco.MjData(self.model)

@@ -44,6 +44,7 @@ class Simulator:
     def __init__(
         self, domain: Domain, simulations: int, threads: int = 1, timestep: float = scene.TIMESTEP
     ) -> None:
+        mujoco.set_mju_user_warning(scene.quiet)
         self.domain = domain
         self.model = scene.build(domain, timestep)
         self.layout = scene.layout(self.model, domain)

@@ -1,0 +1,122 @@
+"""Checks that a plugin keeps the contract of `Model`, on a tiny set that is simulated on the spot."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from dlobench import domain
+from dlobench.bench.evaluate import call, predict
+from dlobench.bench.model import Model, Setting
+from dlobench.bench.plugins import ModelPlugin
+from dlobench.errors import RunError
+from dlobench.nn.budget import Budget
+from dlobench.trajectories import Query, Trajectories
+from dlobench.world.simulate import simulate
+
+HORIZON = 2
+STEPS = 20  # of a fit
+
+
+@dataclass(frozen=True)
+class Check:
+    """Holds the outcome of one check."""
+
+    name: str
+    passed: bool
+    why: str = ""
+
+
+def tiny() -> list[Trajectories]:
+    """Simulates five domains of 3 trajectories and 6 pushes: every material, two attachments, no bodies, 16 and 12 cm."""
+    out = []
+    for i, material in enumerate((*domain.MATERIALS, *domain.MATERIALS[:2])):
+        attachment = domain.ATTACHMENTS[2 * (i % 2)]
+        length = 0.12 if i == 4 else 0.16
+        of = domain.sample(
+            np.random.default_rng([1, i]), material=material, attachment=attachment, length=length, rigid_objects=0
+        )
+        out.append(simulate(of, [[1, i, k] for k in range(3)], pushes=6)[0])
+    return out
+
+
+def check(plugin: ModelPlugin) -> Iterator[Check]:
+    """Yields the outcome of every check, one after the other; later ones are skipped once a fit has failed."""
+    data = tiny()
+    query, _ = data[-1].windows(HORIZON)
+    fitted: list[Model] = []
+
+    def fit() -> None:
+        fitted.append(_fit(plugin, data))
+
+    yield _outcome("fits on three domains, validating on one", fit)
+    if not fitted:
+        return
+    model = fitted[0]
+    yield _outcome("predicts finite float arrays of (1, B, 32, 2)", lambda: predict(model, query, plugin.name))
+    yield _outcome("predicts the same twice", lambda: _same(model, model, query, plugin.name))
+    yield _outcome("leaves the query as it was", lambda: _untouched(model, query, plugin.name))
+    yield _outcome("permuted queries give permuted predictions", lambda: _permuted(model, query, plugin.name))
+    yield _outcome("adapts to 1 trajectory and predicts", lambda: predict(_adapt(model, data), query, plugin.name))
+    yield _outcome("adapting leaves the model as it was", lambda: _unchanged(model, data, query, plugin.name))
+    yield _outcome("the same seed gives the same model", lambda: _same(model, _fit(plugin, data), query, plugin.name))
+    yield _outcome("counts its parameters", lambda: _parameters(model))
+
+
+def _outcome(name: str, function: Callable[[], object]) -> Check:
+    try:
+        function()
+    except RunError as error:
+        return Check(name, False, str(error))
+    return Check(name, True)
+
+
+def _fit(plugin: ModelPlugin, data: list[Trajectories]) -> Model:
+    model = call(plugin.name, lambda: plugin.model(seed=3, device="cpu"))
+    setting = Setting(horizon=HORIZON, K=(1,), budget=Budget(steps=STEPS))
+    call(f"{plugin.name}.fit", lambda: model.fit(data[:3], data[3:4], setting))
+    return model
+
+
+def _adapt(model: Model, data: list[Trajectories]) -> Model:
+    adapted = call("adapt", lambda: model.adapt(data[-1].take(slice(1))))
+    if not isinstance(adapted, Model):
+        raise RunError(f"adapt returned {type(adapted).__name__}, a Model was asked for")
+    return adapted
+
+
+def _same(one: Model, other: Model, query: Query, name: str) -> None:
+    if not np.array_equal(predict(one, query, name).dlo, predict(other, query, name).dlo):
+        raise RunError("the predictions differ")
+
+
+def _untouched(model: Model, query: Query, name: str) -> None:
+    before = copy.deepcopy(query)
+    predict(model, query, name)
+    for field in dataclasses.fields(Query):
+        if not np.array_equal(getattr(before, field.name), getattr(query, field.name)):
+            raise RunError(f"predict changed query.{field.name}")
+
+
+def _permuted(model: Model, query: Query, name: str) -> None:
+    order = np.random.default_rng(0).permutation(len(query))
+    whole, shuffled = predict(model, query, name).dlo[:, order], predict(model, query.take(order), name).dlo
+    if not np.allclose(whole, shuffled, atol=1e-5):  # m; kernels round by position in the batch
+        raise RunError(f"they differ by up to {np.abs(whole - shuffled).max():.2g} m")
+
+
+def _unchanged(model: Model, data: list[Trajectories], query: Query, name: str) -> None:
+    before = predict(model, query, name).dlo.copy()
+    _adapt(model, data)
+    if not np.array_equal(before, predict(model, query, name).dlo):
+        raise RunError("its predictions changed")
+
+
+def _parameters(model: Model) -> None:
+    count = call("parameters", model.parameters)
+    if not isinstance(count, int) or count < 0:
+        raise RunError(f"parameters returned {count!r}, a whole number was asked for")

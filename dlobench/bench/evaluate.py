@@ -1,0 +1,101 @@
+"""Scores a fitted model on unseen domains. One road for every kind of model, and no branch for any."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from dlobench.bench import metrics
+from dlobench.bench.model import Model
+from dlobench.bench.results import CellScore, DomainScore
+from dlobench.bench.task import Fit, Scale, Task, supports
+from dlobench.errors import RunError
+from dlobench.trajectories import Prediction, Query, Trajectories
+
+Returned = TypeVar("Returned")
+
+
+def call(what: str, function: Callable[[], Returned]) -> Returned:
+    """Calls into a plugin; what it raises becomes a `RunError` that names the error and the line."""
+    try:
+        return function()
+    except RunError as error:
+        raise RunError(f"{what}: {error}") from error
+    except Exception as error:
+        line = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(line.filename).name}:{line.lineno}"
+        raise RunError(f"{what} raised {type(error).__name__} at {where}: {error}") from error
+
+
+def predict(model: Model, query: Query, what: str) -> Prediction:
+    """Predicts and checks the answer: (1, B, 32, 2) finite floats; raises `RunError` otherwise."""
+    prediction = call(f"{what}.predict", lambda: model.predict(query, 1))
+    dlo, wanted = getattr(prediction, "dlo", None), (1, *query.dlo.shape[:2], 2)
+    if not isinstance(dlo, np.ndarray) or dlo.shape != wanted or dlo.dtype.kind != "f":
+        got = f"{dlo.dtype} {dlo.shape}" if isinstance(dlo, np.ndarray) else type(dlo).__name__
+        raise RunError(f"{what}.predict returned dlo of {got}, a float array of {wanted} was asked for")
+    if not np.isfinite(dlo[:, :, query.dlo_mask]).all():
+        raise RunError(f"{what}.predict returned values that are not finite")
+    return prediction
+
+
+def score_cell(
+    model: Model,
+    task: Task,
+    scale: Scale,
+    fit: Fit,
+    K: int,
+    domains: Mapping[str, tuple[str, Trajectories]],
+    progress: Callable[[int, int], None],
+) -> CellScore:
+    """Adapts to K trajectories of every unseen domain (id → its cell and trajectories) and scores its queries."""
+    scores, adapting, predicting, queries = [], list[float](), 0.0, 0
+    what = type(model).__name__
+    for done, (name, (cell, trajectories)) in enumerate(domains.items()):
+        progress(done, len(domains))
+        query, truth = trajectories.take(slice(scale.support, scale.support + scale.query)).windows(fit.horizon)
+        true, mask = truth.dlo[0], query.dlo_mask
+        errors = []
+        for chosen in supports(scale.support, K):
+            support = trajectories.take(chosen)
+            begin = time.perf_counter()
+            adapted = call(f"{what}.adapt", lambda s=support: model.adapt(s)) if K else model  # type: ignore[misc]
+            if not isinstance(adapted, Model):
+                raise RunError(f"{what}.adapt returned {type(adapted).__name__}, a Model was asked for")
+            middle = time.perf_counter()
+            predicted = predict(adapted, query, what).dlo[0]
+            adapting.append(middle - begin)
+            predicting, queries = predicting + time.perf_counter() - middle, queries + len(query)
+            errors.append((metrics.mse(predicted, true, mask), metrics.euclidean(predicted, true, mask)))
+        mse, euclidean = np.mean(errors, axis=0)
+        still = query.dlo[..., :2]
+        scores.append(
+            DomainScore(
+                domain=name,
+                cell=cell,
+                supports=len(errors),
+                windows=len(query),
+                mse=mse,
+                euclidean=euclidean,
+                persistence_mse=metrics.mse(still, true, mask),
+                persistence_euclidean=metrics.euclidean(still, true, mask),
+            )
+        )
+    progress(len(domains), len(domains))
+    return CellScore(
+        id=task.cell_id(fit, K),
+        trajectories=fit.trajectories,
+        horizon=fit.horizon,
+        K=K,
+        mse=float(np.mean([s.mse for s in scores])),
+        euclidean=float(np.mean([s.euclidean for s in scores])),
+        skill=metrics.skill([s.mse for s in scores], [s.persistence_mse for s in scores]),
+        adapt_seconds=float(np.mean(adapting)) if K else 0.0,
+        predict_seconds=predicting / queries,
+        domains=scores,
+    )

@@ -1,0 +1,172 @@
+"""Records runs: one JSON file a run, joining scores with everything that they came from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import subprocess
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+import dlobench
+from dlobench.data.store import atomic_write
+from dlobench.errors import RunError
+
+SCHEMA = 1
+_NAME = r"^[A-Za-z0-9_.-]+$"
+_SHA256 = r"^[0-9a-f]{64}$"
+_FILE = re.compile(r"^seed\d+\.json$")
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class DomainScore(_Part):
+    """Holds the scores of one unseen domain, averaged over its supports."""
+
+    domain: str  # set/index
+    cell: str  # of the set: material-attachment-length-objects
+    supports: int
+    windows: int  # queries
+    mse: float  # m², per coordinate
+    euclidean: float  # m, per segment
+    persistence_mse: float  # m²
+    persistence_euclidean: float  # m
+
+
+class CellScore(_Part):
+    """Holds the scores of one point of a task's sweep."""
+
+    id: str
+    trajectories: int  # a training domain
+    horizon: int
+    K: int
+    mse: float  # m², mean over domains
+    euclidean: float  # m, mean over domains
+    skill: float  # 1 − Σ mse / Σ persistence_mse
+    adapt_seconds: float  # of one adaptation
+    predict_seconds: float  # of one query
+    domains: list[DomainScore]
+
+
+class FitReport(_Part):
+    """Tells what a fit took and how it went."""
+
+    trajectories: int
+    horizon: int
+    seconds: float
+    curve: list[dict[str, float]]  # step and what the model logged
+
+
+class Provenance(_Part):
+    """Says where a record comes from, well enough to make it again."""
+
+    command: str
+    created: str  # UTC, ISO 8601
+    commit: str | None  # of the checkout, where there is one
+    dirty: bool | None
+    versions: dict[str, str]
+    cpu: dict[str, Any]
+    device: str
+    set: str  # key of the set: name, versions of set, world and engine
+    data_sha256: str = Field(pattern=_SHA256)  # definition digest of the data that was used
+    split_sha256: str = Field(pattern=_SHA256)
+    plugin_sha256: str = Field(pattern=_SHA256)
+    hyperparameters: dict[str, Any]
+    K: list[int]
+    budget: dict[str, float | None]
+
+
+class Record(_Part):
+    """Holds the record of a run: one task, scale, model configuration and seed."""
+
+    schema_version: Literal[1] = SCHEMA
+    task: str = Field(pattern=_NAME)
+    task_version: int
+    scale: Literal["mini", "small", "paper"]
+    model: str = Field(pattern=_NAME)
+    config: str = Field(pattern=r"^[0-9a-f]{8}$")
+    seed: int = Field(ge=0)
+    parameters: int  # learned ones
+    seconds: float  # wall time of the whole run, data aside
+    fits: list[FitReport]
+    cells: list[CellScore]
+    provenance: Provenance
+
+    def path(self, results: Path) -> Path:
+        """Returns where the record is kept: no two configurations share a place."""
+        return results / self.task / self.scale / f"{self.model}@{self.config}" / f"seed{self.seed}.json"
+
+
+def config_digest(**parts: Any) -> str:
+    """Returns the 8 hexadecimal digits that tell configurations apart: plugin file, hyperparameters, task, data, split."""
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:8]
+
+
+def code_digest() -> str:
+    """Returns the SHA-256 of dlobench's own sources, so that a record is never taken for one of other code."""
+    root = Path(dlobench.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        if path.relative_to(root).parts[0] not in ("models", "tasks"):  # plugins answer for themselves
+            digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+def write(record: Record, results: Path) -> Path:
+    """Writes a record under a results folder, whole or not at all, and returns its path."""
+    path = record.path(results)
+    atomic_write(path, (record.model_dump_json(indent=1) + "\n").encode())
+    return path
+
+
+def read(path: Path, results: Path) -> Record:
+    """Reads a record; raises `RunError` for what is foreign, half-written or not in its place."""
+    try:
+        record = Record.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise RunError(f"cannot read {path}: {error.strerror}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"]) or "the file"
+        raise RunError(f"{path} is not a record of ours: {where}: {first['msg']}; move it away") from error
+    if record.path(results) != path:
+        raise RunError(f"{path} holds the record that belongs to {record.path(results)}; move it there")
+    return record
+
+
+def read_all(results: Path) -> list[Record]:
+    """Reads every record under a results folder, in the order of their paths.
+
+    Raises `RunError` for a missing folder and for any file that is not a record, since to skip it would be silent.
+    Hidden files, left by a run that was killed while writing, and tables at the top are no records.
+    """
+    if not results.is_dir():
+        raise RunError(f"no results folder at {results}")
+    out = []
+    for path in sorted(results.rglob("*")):
+        if path.is_dir() or path.name.startswith(".") or (path.parent == results and path.suffix in (".csv", ".md")):
+            continue
+        if not _FILE.match(path.name):
+            raise RunError(f"{path} is not a record of ours (task/scale/model@config/seed<k>.json); move it away")
+        out.append(read(path, results))
+    return out
+
+
+def checkout() -> tuple[str | None, bool | None]:
+    """Returns the git commit of the checkout that dlobench runs from and whether it has changes, or None twice."""
+    root = Path(dlobench.__file__).parents[1]
+    if not (root / ".git").exists():
+        return None, None
+
+    def git(*arguments: str) -> str:
+        return subprocess.run(["git", "-C", str(root), *arguments], capture_output=True, text=True, check=True).stdout
+
+    try:
+        return git("rev-parse", "HEAD").strip(), bool(git("status", "--porcelain").strip())
+    except (OSError, subprocess.CalledProcessError):
+        return None, None

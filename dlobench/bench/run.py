@@ -1,0 +1,227 @@
+"""Runs a model on a task: data, fit, adapt, score, record. Resumable: what exists is reused, and said so."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from dlobench import machine
+from dlobench.bench import results
+from dlobench.bench.evaluate import call, score_cell
+from dlobench.bench.model import Model, Setting
+from dlobench.bench.plugins import ModelPlugin, hyperparameters
+from dlobench.bench.results import CellScore, FitReport, Provenance, Record
+from dlobench.bench.task import Fit, Partition, Scale, Task
+from dlobench.data.generate import generate, status
+from dlobench.data.sets import DomainSet, ScaleName, find
+from dlobench.data.store import Store
+from dlobench.errors import RunError, UsageError
+from dlobench.nn.budget import Budget, Listener, Log
+from dlobench.trajectories import Trajectories
+
+CURVE_POINTS = 200  # of a learning curve, at most
+
+
+class Reporter(Protocol):
+    """Tells the user how a run goes."""
+
+    def say(self, text: str) -> None:
+        """Says one line."""
+
+    def bar(self, title: str, unit: str) -> AbstractContextManager[Listener]:
+        """Shows progress, with rate and ETA, while the context lasts."""
+
+
+@dataclass(frozen=True)
+class Order:
+    """Says what to run. Built by `order`, which checks it."""
+
+    task: Task
+    scale: ScaleName
+    plugin: ModelPlugin
+    fits: tuple[Fit, ...]
+    K: tuple[int, ...]
+    seed: int = 0
+    settings: Mapping[str, Any] = field(default_factory=dict)  # hyperparameters that differ from their defaults
+    budget: Budget = field(default_factory=Budget)
+    device: str = "cpu"
+
+    @property
+    def of(self) -> DomainSet:
+        """Returns the set that the task reads."""
+        return find(self.task.set)
+
+    @property
+    def domains(self) -> list[int]:
+        """Returns the domains that the run reads."""
+        return self.task.domains(self.scale)
+
+    @property
+    def trajectories(self) -> int:
+        """Returns how many trajectories of every domain the run reads."""
+        return self.task.trajectories(self.scale)
+
+
+def order(
+    task: Task, scale: ScaleName, plugin: ModelPlugin, K: int | None, horizon: int | None, **rest: Any
+) -> Order:
+    """Checks and completes an order; raises `UsageError` naming the choices."""
+    chosen = task.scale(scale)
+    if K is not None and not 0 <= K <= chosen.support:
+        raise UsageError(f"--K {K} does not fit into the support pool of {chosen.support} trajectories of {task.name}/{scale}")
+    if horizon is not None and horizon not in task.horizon:
+        raise UsageError(f"--horizon {horizon} is not one of {task.name}: {', '.join(map(str, task.horizon))}")
+    fits = tuple(fit for fit in task.fits(scale) if horizon in (None, fit.horizon))
+    return Order(task, scale, plugin, fits, chosen.K if K is None else (K,), **rest)
+
+
+def resolve_device(device: str) -> str:
+    """Returns "cpu" or "cuda"; raises `UsageError` for another name or a CUDA device that is not there."""
+    import torch
+
+    if device not in ("auto", "cpu", "cuda"):
+        raise UsageError(f"unknown device {device!r}; there are: auto, cpu, cuda")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise UsageError("--device cuda: there is no CUDA device here; cpu and auto are to be had")
+    return "cuda" if device != "cpu" and torch.cuda.is_available() else "cpu"
+
+
+def ensure_data(
+    store: Store, of: DomainSet, domains: list[int], trajectories: int, workers: int, reporter: Reporter
+) -> None:
+    """Generates what is missing; raises `RunError` for what is broken, which is never overwritten unasked."""
+    units = list(of.units(domains, trajectories))
+    found = status(store, of, units)
+    if found.broken:
+        unit, why = next(iter(found.broken.items()))
+        raise RunError(
+            f"{len(found.broken)} of {len(units)} shards are broken, the first {store.path(of, unit)} ({why}); "
+            f"`dlobench data repair {of.name}` generates them again"
+        )
+    folder = store.root / of.key
+    if not found.pending:
+        reporter.say(f"data: all {len(units)} shards reused from {folder}, nothing to generate")
+        return
+    reporter.say(f"data: {len(found.done)} shards reused, {len(found.pending)} to generate into {folder}")
+    with reporter.bar("generating", "pushes") as listen:
+        generate(store, found.pending, workers, lambda done, total: listen(done, total, {}))
+
+
+def run(order: Order, store: Store, out: Path, command: str, workers: int, reporter: Reporter, force: bool) -> Record:
+    """Makes the record of an order and writes it under `out`; returns the one that is there already unless `force`."""
+    task, scale = order.task, order.task.scale(order.scale)
+    partition = task.partition(order.scale)
+    data_sha256 = order.of.digest(order.domains, order.trajectories)
+    hyper = hyperparameters(order.plugin.model) | dict(order.settings)
+    config = results.config_digest(
+        plugin=order.plugin.sha256,
+        hyperparameters=hyper,
+        fits=[asdict(fit) for fit in order.fits],
+        K=order.K,
+        budget=asdict(order.budget),
+        task=[task.name, task.version],
+        data=data_sha256,
+        split=partition.digest,
+        code=results.code_digest(),
+    )
+    path = out / task.name / order.scale / f"{order.plugin.name}@{config}" / f"seed{order.seed}.json"
+    ensure_data(store, order.of, order.domains, order.trajectories, workers, reporter)
+    if path.exists() and not force:
+        record = results.read(path, out)
+        reporter.say(f"run: reused the record {path}; --force runs it again")
+        return record
+    begin = time.perf_counter()
+    with reporter.bar("loading", "domains") as listen:
+        parts = _load(order, store, partition, listen)
+    reports, cells, parameters = list[FitReport](), list[CellScore](), 0
+    for fit in order.fits:
+        model, report = _fit(order, hyper, fit, parts, reporter)
+        reports.append(report)
+        parameters = max(parameters, call("parameters", model.parameters))
+        cells += _score(order, model, scale, fit, parts["test"], reporter)
+    commit, dirty = results.checkout()
+    record = Record(
+        task=task.name,
+        task_version=task.version,
+        scale=order.scale,
+        model=order.plugin.name,
+        config=config,
+        seed=order.seed,
+        parameters=parameters,
+        seconds=time.perf_counter() - begin,
+        fits=reports,
+        cells=cells,
+        provenance=Provenance(
+            command=command,
+            created=datetime.now(UTC).isoformat(timespec="seconds"),
+            commit=commit,
+            dirty=dirty,
+            versions=machine.versions(),
+            cpu=machine.cpu(),
+            device=order.device,
+            set=order.of.key,
+            data_sha256=data_sha256,
+            split_sha256=partition.digest,
+            plugin_sha256=order.plugin.sha256,
+            hyperparameters=hyper,
+            K=list(order.K),
+            budget=asdict(order.budget),
+        ),
+    )
+    reporter.say(f"run: recorded {results.write(record, out)}")
+    return record
+
+
+_Parts = dict[str, dict[int, Trajectories]]
+
+
+def _load(order: Order, store: Store, partition: Partition, listen: Listener) -> _Parts:
+    parts: _Parts = {}
+    done = 0
+    for name in ("train", "valid", "test"):
+        parts[name] = {}
+        for index in getattr(partition, name):
+            parts[name][index] = store.load_domain(order.of, index, order.trajectories)
+            done += 1
+            listen(done, len(order.domains), {})
+    return parts
+
+
+def _fit(
+    order: Order, hyper: Mapping[str, Any], fit: Fit, parts: _Parts, reporter: Reporter
+) -> tuple[Model, FitReport]:
+    name = order.plugin.name
+    model = call(name, lambda: order.plugin.model(seed=order.seed, device=order.device, **hyper))
+    curve = list[dict[str, float]]()
+    with reporter.bar(f"fitting {name} on {fit.trajectories} trajectories a domain, h = {fit.horizon}", "steps") as listen:
+        log = Log([listen, lambda step, total, values: curve.append({"step": float(step), **values})])
+        setting = Setting(horizon=fit.horizon, K=order.K, budget=order.budget, log=log)
+        train = [trajectories.take(slice(fit.trajectories)) for trajectories in parts["train"].values()]
+        begin = time.perf_counter()
+        call(f"{name}.fit", lambda: model.fit(train, list(parts["valid"].values()), setting))
+        seconds = time.perf_counter() - begin
+    finite = [point for point in curve if all(np.isfinite(value) for value in point.values())]
+    thin = finite[:: max(1, -(-len(finite) // CURVE_POINTS))]
+    return model, FitReport(trajectories=fit.trajectories, horizon=fit.horizon, seconds=seconds, curve=thin)
+
+
+def _score(
+    order: Order, model: Model, scale: Scale, fit: Fit, test: Mapping[int, Trajectories], reporter: Reporter
+) -> list[CellScore]:
+    domains = {f"{order.of.name}/{i:05d}": (str(order.of.cell(i)), trajectories) for i, trajectories in test.items()}
+    cells = []
+    for K in order.K:
+        with reporter.bar(f"scoring K = {K}", "domains") as listen:
+
+            def progress(done: int, total: int, listen: Callable[..., None] = listen) -> None:
+                listen(done, total, {})
+
+            cells.append(score_cell(model, order.task, scale, fit, K, domains, progress))
+    return cells
