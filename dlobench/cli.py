@@ -127,7 +127,14 @@ def generate(
     if domains is not None and not 1 <= domains <= len(spread):
         raise UsageError(f"--domains {domains} is outside 1–{len(spread)}, what {set_name}/{scale} has")
     trajectories = of.extents[chosen].trajectories
-    ensure_data(_store(data), of, spread[:domains], trajectories, check_workers(workers), TerminalReporter())
+    ensure_data(
+        _store(data),
+        of,
+        spread[:domains],
+        trajectories,
+        workers=check_workers(workers),
+        reporter=TerminalReporter(),
+    )
 
 
 @data_app.command("status")
@@ -174,7 +181,9 @@ def run(
     horizon: Annotated[int | None, typer.Option(help="Pushes ahead. Default: all of the task.")] = None,
     scale: Scale = "mini",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the model.")] = 0,
-    settings: Annotated[list[str] | None, typer.Option("--set", metavar="FIELD=VALUE", help="A hyperparameter.")] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="FIELD=VALUE", help="A hyperparameter.")
+    ] = None,
     max_steps: Annotated[int | None, typer.Option(min=1, help="Cut every fit after so many steps.")] = None,
     max_minutes: Annotated[float | None, typer.Option(min=0.0, help="Stop every fit after so many minutes.")] = None,
     data: Data = None,
@@ -207,7 +216,15 @@ def run(
     if out.is_dir():
         results.read_all(out)  # a foreign file would spoil the board: better said now than after the fit
     command = shlex.join(["dlobench", *sys.argv[1:]])
-    record = bench.run(order, _store(data), out, command, check_workers(workers), TerminalReporter(), force)
+    record = bench.run(
+        order,
+        _store(data),
+        out,
+        command=command,
+        workers=check_workers(workers),
+        reporter=TerminalReporter(),
+        force=force,
+    )
     frame = leaderboard.table(results.read_all(out))
     leaderboard.write(frame, out / "leaderboard.csv")
     _board(frame[frame["cell"].isin([cell.id for cell in record.cells]) & (frame["scale"] == record.scale)])

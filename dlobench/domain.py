@@ -79,9 +79,8 @@ class RigidBody:
     def __post_init__(self) -> None:
         _check_choice("shape", self.shape, tuple(SHAPES))
         if len(self.densities) != len(SHAPES[self.shape]):
-            raise UsageError(
-                f"densities holds {len(self.densities)} values, shape {self.shape!r} has {len(SHAPES[self.shape])} boxes"
-            )
+            boxes = len(SHAPES[self.shape])
+            raise UsageError(f"densities holds {len(self.densities)} values, shape {self.shape!r} has {boxes} boxes")
         for density in self.densities:
             _check_range("box density", density, *BOX_DENSITY, "kg/m³")
         _check_range("body friction", self.friction, *BODY_FRICTION)
@@ -117,9 +116,7 @@ class Domain:
             raise UsageError(f"length = {self.length!r} m is not a whole centimetre from 0.10 to 0.16 m")
         _check_range("density", self.density, *DLO_DENSITY, "kg/m³")
         _check_choice("material", self.material, MATERIALS)
-        _check_range(
-            f"bending_stiffness of {self.material}", self.bending_stiffness, *STIFFNESS[self.material], "N m²"
-        )
+        _check_range(f"bending_stiffness of {self.material}", self.bending_stiffness, *STIFFNESS[self.material], "N m²")
         if (self.yield_curvature is not None) != (self.material == "elastoplastic"):
             raise UsageError(f"yield_curvature = {self.yield_curvature!r} does not go with material {self.material!r}")
         if self.yield_curvature is not None:

@@ -103,7 +103,7 @@ class Maml(Model):
         fewest, most = int(windows.count.min()), int(windows.count.max())
         if fewest < 2:
             raise RunError(f"a domain has {fewest} trajectories, a task needs 2: one to adapt on, one to be scored on")
-        K = K if K < fewest else fewest // 2
+        K = K if fewest > K else fewest // 2
         order = torch.rand(len(domains), most, generator=generator)
         order[torch.arange(most) >= windows.count.cpu()[domains, None]] = 1  # no trajectory there, so never drawn
         drawn = order.topk(min(K + self.queries, fewest), largest=False).indices

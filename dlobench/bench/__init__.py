@@ -1,0 +1,1 @@
+"""Scores models on tasks: the plugins' contract, the evaluator, records, the leaderboard."""

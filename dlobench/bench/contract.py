@@ -32,7 +32,7 @@ class Check:
 
 
 def tiny() -> list[Trajectories]:
-    """Simulates five domains of 3 trajectories and 6 pushes: every material, two attachments, no bodies, 16 and 12 cm."""
+    """Simulates five domains, 3 trajectories of 6 pushes each: every material, two attachments, 16 and 12 cm."""
     out = []
     for i, material in enumerate((*domain.MATERIALS, *domain.MATERIALS[:2])):
         attachment = domain.ATTACHMENTS[2 * (i % 2)]

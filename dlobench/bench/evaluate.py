@@ -46,6 +46,7 @@ def predict(model: Model, query: Query, what: str) -> Prediction:
 
 def score_cell(
     model: Model,
+    *,
     task: Task,
     scale: Scale,
     fit: Fit,

@@ -28,7 +28,9 @@ def table(records: list[Record]) -> pd.DataFrame:
             "skill": cell.skill,
             "mse_m2": cell.mse,
             "euclidean_m": cell.euclidean,
-            "fit_s": next(f.seconds for f in record.fits if (f.trajectories, f.horizon) == (cell.trajectories, cell.horizon)),
+            "fit_s": next(
+                f.seconds for f in record.fits if (f.trajectories, f.horizon) == (cell.trajectories, cell.horizon)
+            ),
             "adapt_s": cell.adapt_seconds,
             "predict_s": cell.predict_seconds,
             "parameters": record.parameters,
@@ -43,7 +45,9 @@ def table(records: list[Record]) -> pd.DataFrame:
         for cell in record.cells
     ]
     frame = pd.DataFrame(rows, columns=COLUMNS)
-    how = {column: "mean" if column in MEANS else "first" for column in COLUMNS if column not in KEY} | {"seeds": "nunique"}
+    how = {column: "mean" if column in MEANS else "first" for column in COLUMNS if column not in KEY} | {
+        "seeds": "nunique"
+    }
     grouped = frame.groupby(KEY, as_index=False, sort=True).agg(how)[COLUMNS]
     order = ["task", "task_version", "scale", "trajectories", "horizon", "K", "cell", "mse_m2", "model", "config"]
     return grouped.sort_values(order, ignore_index=True, kind="stable")

@@ -23,9 +23,10 @@ def euclidean(predicted: Floats, true: Floats, mask: Mask) -> float:
 
 
 def skill(errors: list[float], persistence: list[float]) -> float:
-    """Returns 1 − Σ error / Σ error of persistence over the domains of a cell: 1 is perfect, 0 no better than standing still.
+    """Returns 1 − Σ error / Σ error of persistence over the domains of a cell.
 
-    A ratio of sums, so that domains where little moves do not blow it up. Raises `ValueError` where nothing moves at all.
+    1 is perfect, 0 no better than standing still. A ratio of sums, so that domains where little moves do not blow it
+    up. Raises `ValueError` where nothing moves at all.
     """
     still = sum(persistence)
     if still <= 0:

@@ -52,7 +52,10 @@ def find(kind: Kind) -> dict[str, Found]:
 
 
 def load_model(name_or_path: str) -> ModelPlugin:
-    """Loads a model by name or by path; raises `UsageError` for what is no plugin, `RunError` for one that fails to load."""
+    """Loads a model by name or by path.
+
+    Raises `UsageError` for what is no plugin, `RunError` for one that fails to load.
+    """
     path = _resolve("models", name_or_path)
     module = _execute(path, "model")
     classes = [
@@ -118,7 +121,9 @@ def _resolve(kind: Kind, name_or_path: str) -> Path:
         return path.resolve()
     found = find(kind)
     if name_or_path not in found:
-        raise UsageError(f"unknown {kind[:-1]} {name_or_path!r}; there are: {', '.join(found)} (or a path to a .py file)")
+        raise UsageError(
+            f"unknown {kind[:-1]} {name_or_path!r}; there are: {', '.join(found)} (or a path to a .py file)"
+        )
     return found[name_or_path].path
 
 

@@ -15,7 +15,6 @@ import dlobench
 from dlobench.data.store import atomic_write
 from dlobench.errors import RunError
 
-SCHEMA = 1
 _NAME = r"^[A-Za-z0-9_.-]+$"
 _SHA256 = r"^[0-9a-f]{64}$"
 _FILE = re.compile(r"^seed\d+\.json$")
@@ -84,7 +83,7 @@ class Provenance(_Part):
 class Record(_Part):
     """Holds the record of a run: one task, scale, model configuration and seed."""
 
-    schema_version: Literal[1] = SCHEMA
+    schema_version: Literal[1] = 1
     task: str = Field(pattern=_NAME)
     task_version: int
     scale: Literal["mini", "small", "paper"]
@@ -103,7 +102,7 @@ class Record(_Part):
 
 
 def config_digest(**parts: Any) -> str:
-    """Returns the 8 hexadecimal digits that tell configurations apart: plugin file, hyperparameters, task, data, split."""
+    """Returns 8 hexadecimal digits that tell configurations apart: plugin, hyperparameters, task, data, split."""
     return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:8]
 
 

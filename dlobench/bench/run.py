@@ -18,7 +18,7 @@ from dlobench.bench.evaluate import call, score_cell
 from dlobench.bench.model import Model, Setting
 from dlobench.bench.plugins import ModelPlugin, hyperparameters
 from dlobench.bench.results import CellScore, FitReport, Provenance, Record
-from dlobench.bench.task import Fit, Partition, Scale, Task
+from dlobench.bench.task import Fit, Partition, Task
 from dlobench.data.generate import generate, status
 from dlobench.data.sets import DomainSet, ScaleName, find
 from dlobench.data.store import Store
@@ -69,13 +69,13 @@ class Order:
         return self.task.trajectories(self.scale)
 
 
-def order(
-    task: Task, scale: ScaleName, plugin: ModelPlugin, K: int | None, horizon: int | None, **rest: Any
-) -> Order:
+def order(task: Task, scale: ScaleName, plugin: ModelPlugin, K: int | None, horizon: int | None, **rest: Any) -> Order:
     """Checks and completes an order; raises `UsageError` naming the choices."""
     chosen = task.scale(scale)
     if K is not None and not 0 <= K <= chosen.support:
-        raise UsageError(f"--K {K} does not fit into the support pool of {chosen.support} trajectories of {task.name}/{scale}")
+        raise UsageError(
+            f"--K {K} does not fit into the support pool of {chosen.support} trajectories of {task.name}/{scale}"
+        )
     if horizon is not None and horizon not in task.horizon:
         raise UsageError(f"--horizon {horizon} is not one of {task.name}: {', '.join(map(str, task.horizon))}")
     fits = tuple(fit for fit in task.fits(scale) if horizon in (None, fit.horizon))
@@ -94,7 +94,7 @@ def resolve_device(device: str) -> str:
 
 
 def ensure_data(
-    store: Store, of: DomainSet, domains: list[int], trajectories: int, workers: int, reporter: Reporter
+    store: Store, of: DomainSet, domains: list[int], trajectories: int, *, workers: int, reporter: Reporter
 ) -> None:
     """Generates what is missing; raises `RunError` for what is broken, which is never overwritten unasked."""
     units = list(of.units(domains, trajectories))
@@ -114,9 +114,11 @@ def ensure_data(
         generate(store, found.pending, workers, lambda done, total: listen(done, total, {}))
 
 
-def run(order: Order, store: Store, out: Path, command: str, workers: int, reporter: Reporter, force: bool) -> Record:
+def run(
+    order: Order, store: Store, out: Path, *, command: str, workers: int, reporter: Reporter, force: bool = False
+) -> Record:
     """Makes the record of an order and writes it under `out`; returns the one that is there already unless `force`."""
-    task, scale = order.task, order.task.scale(order.scale)
+    task = order.task
     partition = task.partition(order.scale)
     data_sha256 = order.of.digest(order.domains, order.trajectories)
     hyper = hyperparameters(order.plugin.model) | dict(order.settings)
@@ -132,7 +134,7 @@ def run(order: Order, store: Store, out: Path, command: str, workers: int, repor
         code=results.code_digest(),
     )
     path = out / task.name / order.scale / f"{order.plugin.name}@{config}" / f"seed{order.seed}.json"
-    ensure_data(store, order.of, order.domains, order.trajectories, workers, reporter)
+    ensure_data(store, order.of, order.domains, order.trajectories, workers=workers, reporter=reporter)
     if path.exists() and not force:
         record = results.read(path, out)
         reporter.say(f"run: reused the record {path}; --force runs it again")
@@ -145,7 +147,7 @@ def run(order: Order, store: Store, out: Path, command: str, workers: int, repor
         model, report = _fit(order, hyper, fit, parts, reporter)
         reports.append(report)
         parameters = max(parameters, call("parameters", model.parameters))
-        cells += _score(order, model, scale, fit, parts["test"], reporter)
+        cells += _score(order, model, fit, parts["test"], reporter)
     commit, dirty = results.checkout()
     record = Record(
         task=task.name,
@@ -200,7 +202,9 @@ def _fit(
     name = order.plugin.name
     model = call(name, lambda: order.plugin.model(seed=order.seed, device=order.device, **hyper))
     curve = list[dict[str, float]]()
-    with reporter.bar(f"fitting {name} on {fit.trajectories} trajectories a domain, h = {fit.horizon}", "steps") as listen:
+    with reporter.bar(
+        f"fitting {name} on {fit.trajectories} trajectories a domain, h = {fit.horizon}", "steps"
+    ) as listen:
         log = Log([listen, lambda step, total, values: curve.append({"step": float(step), **values})])
         setting = Setting(horizon=fit.horizon, K=order.K, budget=order.budget, log=log)
         train = [trajectories.take(slice(fit.trajectories)) for trajectories in parts["train"].values()]
@@ -213,7 +217,7 @@ def _fit(
 
 
 def _score(
-    order: Order, model: Model, scale: Scale, fit: Fit, test: Mapping[int, Trajectories], reporter: Reporter
+    order: Order, model: Model, fit: Fit, test: Mapping[int, Trajectories], reporter: Reporter
 ) -> list[CellScore]:
     domains = {f"{order.of.name}/{i:05d}": (str(order.of.cell(i)), trajectories) for i, trajectories in test.items()}
     cells = []
@@ -223,5 +227,8 @@ def _score(
             def progress(done: int, total: int, listen: Callable[..., None] = listen) -> None:
                 listen(done, total, {})
 
-            cells.append(score_cell(model, order.task, scale, fit, K, domains, progress))
+            scale = order.task.scale(order.scale)
+            cells.append(
+                score_cell(model, task=order.task, scale=scale, fit=fit, K=K, domains=domains, progress=progress)
+            )
     return cells

@@ -1,0 +1,1 @@
+"""Keeps the data: sets, shards, generation."""

@@ -33,12 +33,13 @@ _FIELDS = {"schema", "unit", "key", "domain", "sha256", "bytes", "account", "sec
 Rows = NDArray[np.float32]
 
 
-@dataclass(frozen=True)
 class Broken(RunError):
     """Says which shard is broken and how."""
 
-    path: Path
-    why: str
+    def __init__(self, path: Path, why: str) -> None:
+        super().__init__(path, why)
+        self.path = path
+        self.why = why
 
     def __str__(self) -> str:
         return f"shard {self.path} is broken ({self.why}); `dlobench data repair` generates it again"
@@ -58,7 +59,7 @@ def pack(trajectories: Trajectories) -> Rows:
 
 def unpack(rows: Rows, domain: Domain) -> Trajectories:
     """Reads the rows of a shard as trajectories of its domain."""
-    K, states, _ = rows.shape
+    K = len(rows)
     fields, column = {}, 0
     for name, width in COLUMNS.items():
         part = rows[:, :, column : column + width]
@@ -93,7 +94,11 @@ class Store:
             raise Broken(path, f"unreadable sidecar: {error}") from error
         if not isinstance(found, dict) or not found.keys() >= _FIELDS or found["schema"] != SCHEMA:
             raise Broken(path, "its sidecar is not one of ours")
-        if found["key"] != of.key or found["unit"] != asdict(unit) or found["domain"] != of.domain(unit.domain).to_json():
+        if (
+            found["key"] != of.key
+            or found["unit"] != asdict(unit)
+            or found["domain"] != of.domain(unit.domain).to_json()
+        ):
             raise Broken(path, f"it was made for another set, domain or version than {of.key}")
         try:
             size = path.stat().st_size
@@ -125,7 +130,9 @@ class Store:
         parts = [self.load(of, unit) for unit in of.units([index], trajectories)]
         return concatenate(parts).take(slice(trajectories))
 
-    def write(self, of: DomainSet, unit: Unit, trajectories: Trajectories, account: dict[str, int], seconds: float) -> None:
+    def write(
+        self, of: DomainSet, unit: Unit, trajectories: Trajectories, account: dict[str, int], seconds: float
+    ) -> None:
         """Writes a shard: array first, sidecar last, each under a temporary name, synced, renamed.
 
         Raises `RunError` when the disk refuses; then nothing half-written remains.

@@ -1,0 +1,1 @@
+"""Holds what learned plugins share: windows, networks, fits."""

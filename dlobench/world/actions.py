@@ -23,7 +23,7 @@ ATTEMPTS = 10_000
 
 
 def feasible(pusher: Array, displacement: Array, fixed: Array | None) -> bool:
-    """Tells whether a command keeps the pusher in reach and off a fixed cylinder at `fixed` (x, y), whatever the noise."""
+    """Tells whether a command keeps the pusher in reach and off a fixed cylinder at `fixed`, whatever the noise."""
     target = pusher + displacement
     if np.abs(target).max() > REACH - NOISE_LIMIT:
         return False

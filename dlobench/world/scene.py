@@ -39,7 +39,7 @@ FRAME_MASS = 1e-6  # kg, what MuJoCo wants in the planar frame of a body whose m
 _TABLE, _DLO_PLATE, _CYLINDER_PLATE, _WALL, _DLO, _BODY, _PUSHER = (1 << bit for bit in range(7))
 _SOLID_SOLREF, _SOLID_SOLIMP = (0.01, 1.0), (0.99, 0.999, 0.001)
 _SUPPORT_SOLREF, _SUPPORT_SOLIMP = (0.02, 1.0), (0.3, 0.3, 0.001)
-_UNTIL_APART = 3  # segments closer than this along the chain are never tested for contact
+APART = 3  # segments closer than this along the chain are never tested for contact
 _HALF_TURN_Y = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)  # lays a capsule's axis along x
 
 
@@ -230,9 +230,9 @@ def _add_dlo(out: mujoco.MjSpec, domain: Domain, friction: dict[str, float]) -> 
             conaffinity=_WALL | _DLO,
             friction=[friction["dlo-dlo"], 0, 0],
         )
-        for j in range(max(0, i - _UNTIL_APART), i - 1):
+        for j in range(max(0, i - APART), i - 1):
             out.add_exclude(bodyname1=f"segment{j}", bodyname2=body.name)
-        if domain.attachment != "none" and 0 < i <= _UNTIL_APART:
+        if domain.attachment != "none" and 0 < i <= APART:
             out.add_exclude(bodyname1="cylinder", bodyname2=body.name)
         parent = body
 

@@ -41,9 +41,7 @@ class Streams:
 class Simulator:
     """Steps S simulations of one domain, push by push."""
 
-    def __init__(
-        self, domain: Domain, simulations: int, threads: int = 1, timestep: float = scene.TIMESTEP
-    ) -> None:
+    def __init__(self, domain: Domain, simulations: int, threads: int = 1, timestep: float = scene.TIMESTEP) -> None:
         mujoco.set_mju_user_warning(scene.quiet)
         self.domain = domain
         self.model = scene.build(domain, timestep)
@@ -129,7 +127,9 @@ def _attempt(
         command, noise = np.zeros((2, len(seeds), 2))
         for s in np.flatnonzero(~simulator.failed):
             dlo = state.dlo[s, : domain.segments, :2]
-            command[s], again = actions.draw(streams[s].action, state.pusher[s], dlo, None if fixed is None else fixed[s])
+            command[s], again = actions.draw(
+                streams[s].action, state.pusher[s], dlo, None if fixed is None else fixed[s]
+            )
             noise[s] = actions.noise(streams[s].noise)
             redrawn += again
         state = simulator.push(command + noise)

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from dlobench.domain import DLO_RADIUS, SEGMENT_LENGTH, WORKSPACE, Domain, Material
 from dlobench.errors import RunError
-from dlobench.world.scene import CYLINDER_RADIUS, PUSHER_RADIUS, REACH
+from dlobench.world.scene import APART, CYLINDER_RADIUS, PUSHER_RADIUS, REACH
 
 Array = NDArray[np.float64]
 
 GAP = 0.001  # m, the least distance between things that do not belong together
 BODY_SPREAD = 0.06  # m, bodies are placed in a square of this half size about the centre
 ATTEMPTS = 100_000
-# Standard deviation of the DLO's total bend at the start, rad: ropes lie as they fell, flexible rods are nearly straight.
+# Standard deviation of the DLO's total bend at the start, rad: ropes lie as they fell, flexible rods nearly straight.
 BEND: dict[Material, float] = {"soft": 2.0, "flexible": 0.3, "elastoplastic": 1.0}
 
 
@@ -50,7 +50,8 @@ def chain(domain: Domain, start: Start) -> Array:
         x, y = x + CYLINDER_RADIUS * np.cos(yaw), y + CYLINDER_RADIUS * np.sin(yaw)
     yaws = yaw + np.cumsum(start.bends)
     steps = SEGMENT_LENGTH * np.stack([np.cos(yaws), np.sin(yaws)], axis=-1)
-    return np.concatenate([[[x, y]], [[x, y]] + np.cumsum(steps, axis=0)])
+    joints: Array = np.array([x, y]) + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    return joints
 
 
 def possible(domain: Domain, start: Start) -> bool:
@@ -59,24 +60,28 @@ def possible(domain: Domain, start: Start) -> bool:
     discs = [(start.pusher[None], PUSHER_RADIUS)]
     if domain.attachment != "none":
         discs.append((start.root[None, :2], CYLINDER_RADIUS))
-    limit = WORKSPACE / 2 - GAP
-    if np.abs(dlo).max() > limit - DLO_RADIUS or any(np.abs(c).max() > limit - r for c, r in discs):
-        return False
-    if len(discs) == 2 and np.linalg.norm(start.pusher - start.root[:2]) < PUSHER_RADIUS + CYLINDER_RADIUS + GAP:
-        return False
-    if _self_overlap(dlo) or _distance(start.pusher[None], dlo) < PUSHER_RADIUS + DLO_RADIUS + GAP:
-        return False
-    if len(discs) == 2 and _distance(start.root[None, :2], dlo[4:]) < CYLINDER_RADIUS + DLO_RADIUS + GAP:
-        return False
     boxes = [_place(body.boxes(), pose) for body, pose in zip(domain.bodies, start.bodies, strict=True)]
-    for i, own in enumerate(boxes):
-        if np.abs(_corners(own)).max() > limit:
-            return False
-        if any(_boxes_overlap(a, b) for other in boxes[:i] for a in own for b in other):
-            return False
-        if any(_box_distance(points, box) < radius + GAP for points, radius in [*discs, (dlo, DLO_RADIUS)] for box in own):
-            return False
-    return True
+    round_things = [(dlo, DLO_RADIUS), *discs]
+    reaches = [float(np.abs(points).max()) + radius for points, radius in round_things]
+    reaches += [float(np.abs(_corners(own)).max()) for own in boxes]
+    if max(reaches) > WORKSPACE / 2 - GAP or _dlo_overlaps(dlo, discs):
+        return False
+    return not any(
+        any(_box_distance(points, box) < radius + GAP for points, radius in round_things for box in own)
+        or any(_boxes_overlap(a, b) for other in boxes[:i] for a in own for b in other)
+        for i, own in enumerate(boxes)
+    )
+
+
+def _dlo_overlaps(dlo: Array, discs: list[tuple[Array, float]]) -> bool:
+    """Tells whether the DLO meets itself or a disc, or the discs (pusher, then the cylinder if any) each other."""
+    for i, (centre, radius) in enumerate(discs):
+        own = dlo if i == 0 else dlo[APART + 1 :]  # the cylinder holds the first segments
+        if _distance(centre, own) < radius + DLO_RADIUS + GAP:
+            return True
+        if any(np.linalg.norm(centre - other) < radius + more + GAP for other, more in discs[:i]):
+            return True
+    return _self_overlap(dlo)
 
 
 def _draw(domain: Domain, rng: np.random.Generator) -> Start:
@@ -114,7 +119,7 @@ def _self_overlap(dlo: Array) -> bool:
     middle = (dlo[1:] + dlo[:-1]) / 2
     apart = np.linalg.norm(middle[:, None] - middle, axis=-1)
     order = np.arange(len(middle))
-    far = np.abs(order[:, None] - order) > 3
+    far = np.abs(order[:, None] - order) > APART
     # Centres within a segment's length of each other may hide a crossing; demand room for it.
     return bool((apart[far] < 2 * DLO_RADIUS + GAP + SEGMENT_LENGTH / 2).any())
 

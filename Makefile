@@ -1,0 +1,36 @@
+# The developer's verbs. `make run` and `make test` need nothing but Python 3.11 and make.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+ARGS ?=
+
+.PHONY: help run test lint type unit bench clean
+
+help:  ## Show what can be made
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+
+$(VENV)/installed: pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,dev]'
+	touch $@
+
+run: $(VENV)/installed  ## From nothing to a leaderboard row (add options by ARGS="--max-steps 500")
+	$(BIN)/dlobench run --task meta --model maml --K 10 $(ARGS)
+
+test: lint type unit  ## Lint, types and tests
+
+lint: $(VENV)/installed  ## Ruff: rules and format
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+type: $(VENV)/installed  ## Mypy, strict
+	$(BIN)/mypy
+
+unit: $(VENV)/installed  ## The tests alone
+	$(BIN)/pytest --durations=8
+
+bench: $(VENV)/installed  ## Benchmarks, with their ratios
+	$(BIN)/pytest tests/benchmarks --benchmark-enable --benchmark-sort=name
+
+clean:  ## Remove the environment and the caches; data and records stay
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
