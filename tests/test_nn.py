@@ -189,14 +189,14 @@ def test_what_cannot_be_learnt_from_is_refused() -> None:
             windows.standardise(nothing, **options)
     broken = domain.executed.copy()
     broken[0, 1] = np.nan
-    with pytest.raises(RunError, match="domain 1 of 2 .* not finite"):
+    with pytest.raises(RunError, match=r"domain 1 of 2 .* not finite"):
         windows.standardise([domain, replace(domain, executed=broken)], **options)
     with pytest.raises(RunError, match=r"differ in pushes: \[4, 6\]"):
         windows.standardise([domain, *toy_domains(1, trajectories=2, pushes=4)], **options)
-    with pytest.raises(RunError, match="horizon = 9 does not fit .* 6 pushes"):
+    with pytest.raises(RunError, match=r"horizon = 9 does not fit .* 6 pushes"):
         windows.standardise([domain], **{**options, "horizon": 9})
     _, scaling = windows.standardise([domain], **options)
-    with pytest.raises(RunError, match="3 pushes ahead.* fitted for 2"):
+    with pytest.raises(RunError, match=r"3 pushes ahead.* fitted for 2"):
         scaling.inputs(domain.windows(3)[0])
 
 
