@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shlex
+import signal
 import sys
 import traceback
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from dlobench import __version__
+from dlobench.cli_look import Data, Workers, data_app, list_app, open_store
 from dlobench.errors import RunError, UsageError
-
-if TYPE_CHECKING:
-    from dlobench.data.sets import DomainSet, ScaleName, Unit
-    from dlobench.data.store import Store
 
 COMMITTED_RESULTS = Path("leaderboard/results")
 COMMITTED_BOARD = Path("leaderboard/leaderboard.csv")
@@ -29,17 +26,12 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-list_app = typer.Typer(help="Show what exists: tasks, models, sets.", no_args_is_help=True)
-data_app = typer.Typer(help="Look after the data on disk.", no_args_is_help=True)
 leaderboard_app = typer.Typer(help="Build the leaderboard.", no_args_is_help=True)
 app.add_typer(list_app, name="list")
 app.add_typer(data_app, name="data")
 app.add_typer(leaderboard_app, name="leaderboard")
 
-Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-Data = Annotated[Path | None, typer.Option(help="Data folder. Default: $DLOBENCH_DATA, else the platform's cache.")]
 Scale = Annotated[str, typer.Option(help="How much: mini (minutes), small (a night), paper (a cluster).")]
-Workers = Annotated[int, typer.Option(help="Processes that simulate; 0 takes every core.")]
 
 
 def _version(wanted: bool) -> None:
@@ -58,51 +50,6 @@ def _main(
     ] = False,
 ) -> None:
     pass
-
-
-@list_app.command("tasks")
-def list_tasks(as_json: Json = False) -> None:
-    """List the tasks: what they ask, and their cells at every scale."""
-    from dlobench.bench.plugins import find, load_task
-    from dlobench.data.sets import SCALES
-
-    rows = []
-    for name, found in find("tasks").items():
-        task = load_task(name)
-        for scale in SCALES:
-            cells = [task.cell_id(fit, K) for fit in task.fits(scale) for K in task.scale(scale).K]
-            rows.append({"task": name, "about": found.about, "set": task.set, "scale": scale, "cells": cells})
-    _show(rows, as_json, ["task", "scale", "cells", "set"])
-
-
-@list_app.command("models")
-def list_models(as_json: Json = False) -> None:
-    """List the models: one file each."""
-    from dlobench.bench.plugins import find
-
-    rows = [{"model": f.name, "about": f.about, "path": str(f.path)} for f in find("models").values()]
-    _show(rows, as_json, ["model", "about"])
-
-
-@list_app.command("sets")
-def list_sets(as_json: Json = False) -> None:
-    """List the sets: domains, pushes and bytes at every scale."""
-    from dlobench.data.sets import SCALES, SETS
-    from dlobench.data.store import BYTES_A_PUSH
-
-    rows = [
-        {
-            "set": of.name,
-            "scale": scale,
-            "domains": len(of.domains(scale)),
-            "trajectories": of.extents[scale].trajectories,
-            "pushes": of.pushes(scale),
-            "bytes": round(of.pushes(scale) * BYTES_A_PUSH),
-        }
-        for of in SETS.values()
-        for scale in SCALES
-    ]
-    _show(rows, as_json, ["set", "scale", "domains", "trajectories", "pushes", "bytes"])
 
 
 @app.command()
@@ -128,49 +75,13 @@ def generate(
         raise UsageError(f"--domains {domains} is outside 1–{len(spread)}, what {set_name}/{scale} has")
     trajectories = of.extents[chosen].trajectories
     ensure_data(
-        _store(data),
+        open_store(data),
         of,
         spread[:domains],
         trajectories,
         workers=check_workers(workers),
         reporter=TerminalReporter(),
     )
-
-
-@data_app.command("status")
-def data_status(data: Data = None, as_json: Json = False) -> None:
-    """Tell what is done, pending and broken, by sizes and sidecars."""
-    _report(_store(data), as_json, every_byte=False)
-
-
-@data_app.command("verify")
-def data_verify(data: Data = None, as_json: Json = False) -> None:
-    """Check every byte on disk against its digest; exit code 1 if anything is broken."""
-    broken = _report(_store(data), as_json, every_byte=True)
-    if broken:
-        raise RunError(f"{len(broken)} shards are broken; `dlobench data repair SET` generates them again")
-
-
-@data_app.command("repair")
-def data_repair(
-    set_name: Annotated[str, typer.Argument(metavar="SET", help="See `dlobench list sets`.")],
-    data: Data = None,
-    workers: Workers = 0,
-) -> None:
-    """Generate again what is broken of a set, and only that."""
-    from dlobench.console import TerminalReporter
-    from dlobench.data.executors import check_workers
-    from dlobench.data.generate import generate, status
-    from dlobench.data.sets import find
-
-    store, of, reporter = _store(data), find(set_name), TerminalReporter()
-    broken = list(status(store, of, _units(of, "paper"), every_byte=True).broken)
-    for unit in broken:
-        store.discard(of, unit)
-    if broken:
-        with reporter.bar("repairing", "pushes") as listen:
-            generate(store, broken, check_workers(workers), lambda done, total: listen(done, total, {}))
-    reporter.say(f"data: {len(broken)} broken shards of {of.name} generated again")
 
 
 @app.command()
@@ -218,7 +129,7 @@ def run(
     command = shlex.join(["dlobench", *sys.argv[1:]])
     record = bench.run(
         order,
-        _store(data),
+        open_store(data),
         out,
         command=command,
         workers=check_workers(workers),
@@ -259,55 +170,6 @@ def leaderboard_build(
     typer.echo(f"{path}: {len(frame)} rows")
 
 
-def _store(data: Path | None) -> Store:
-    from platformdirs import user_cache_path
-
-    from dlobench.data.store import Store
-
-    environment = os.environ.get("DLOBENCH_DATA")
-    return Store((data or (Path(environment) if environment else user_cache_path("dlobench"))).expanduser().absolute())
-
-
-def _units(of: DomainSet, scale: ScaleName) -> list[Unit]:
-    return list(of.units(of.domains(scale), of.extents[scale].trajectories))
-
-
-def _report(store: Store, as_json: bool, every_byte: bool) -> list[Unit]:
-    """Prints what is there of every set and scale; returns the broken units."""
-    from dlobench.data.generate import status
-    from dlobench.data.sets import PUSHES, SCALES, SETS
-
-    rows, broken = [], dict[Any, str]()
-    for of in SETS.values():
-        found = status(store, of, _units(of, "paper"), every_byte=every_byte)
-        broken |= found.broken
-        done = set(found.done)
-        for scale in SCALES:
-            units = _units(of, scale)
-            have, bad = sum(u in done for u in units), sum(u in found.broken for u in units)
-            row = {"set": of.name, "scale": scale, "done": have, "pending": len(units) - have - bad, "broken": bad}
-            rows.append(row | {"pushes": have * of.block * PUSHES, "folder": str(store.root / of.key)})
-    _show(rows, as_json, ["set", "scale", "done", "pending", "broken", "pushes", "folder"])
-    for unit, why in broken.items():
-        typer.echo(f"broken: {store.path(SETS[unit.set_name], unit)}: {why}", err=True)
-    return list(broken)
-
-
-def _show(rows: list[dict[str, Any]], as_json: bool, columns: list[str]) -> None:
-    from dlobench.console import print_table
-
-    if as_json:
-        typer.echo(json.dumps(rows, indent=1, ensure_ascii=False))
-        return
-    print_table(columns, [[_text(row[column]) for column in columns] for row in rows])
-
-
-def _text(value: object) -> str:
-    if isinstance(value, list):
-        return " ".join(map(str, value))
-    return f"{value:,}" if isinstance(value, int) else str(value)
-
-
 def _board(frame: Any) -> None:
     """Prints the rows of a leaderboard that matter to who has just run something."""
     from dlobench.console import print_table
@@ -331,25 +193,39 @@ def _board(frame: Any) -> None:
     print_table(header, rows)
 
 
+def _fail(message: str) -> None:
+    typer.echo(f"dlobench: {' '.join(message.split())}", err=True)
+
+
 def main() -> None:
     """Runs the command line. Exit codes: 0 done, 1 a run failed, 2 bad usage, 130 interrupted."""
-    from dlobench.console import fail
+    interrupts = list[int]()
 
-    debug = bool(os.environ.get("DLOBENCH_DEBUG"))
+    def interrupt(number: int, _frame: object) -> None:
+        interrupts.append(number)  # an import that is interrupted may raise something else than this
+        raise KeyboardInterrupt
+
+    if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
+        signal.signal(signal.SIGINT, interrupt)
     try:
-        code = app(standalone_mode=False)
+        code = app(standalone_mode=False) or 0
     except (UsageError, RunError) as error:
-        if debug:
+        if os.environ.get("DLOBENCH_DEBUG"):
             traceback.print_exc()
-        fail(str(error))
+        _fail(str(error))
         code = error.exit_code
-    except (KeyboardInterrupt, typer.Abort):
-        fail("interrupted; what is done is kept, and the same command goes on from there")
+    except KeyboardInterrupt:
         code = 130
     except Exception as error:
         # Errors of the command line itself carry what to say; they live in a private module of typer.
-        if not hasattr(error, "format_message"):
+        format_message = getattr(error, "format_message", None)
+        if interrupts:
+            code = 130
+        elif format_message is None:
             raise
-        fail(error.format_message())
-        code = getattr(error, "exit_code", 2)
-    sys.exit(code or 0)
+        else:
+            _fail(format_message())
+            code = 2
+    if code == 130:
+        _fail("interrupted; what is done is kept, and the same command goes on from there")
+    sys.exit(code)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
@@ -62,8 +61,3 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     for row in rows:
         table.add_row(*row)
     Console(highlight=False, markup=False, width=10_000).print(table)
-
-
-def fail(message: str) -> None:
-    """Prints why a command failed, as one line on stderr."""
-    print(f"dlobench: {' '.join(message.split())}", file=sys.stderr)

@@ -6,6 +6,7 @@ import hashlib
 import json
 import re
 import subprocess
+import tempfile
 from pathlib import Path
 from typing import Any, Literal
 
@@ -121,6 +122,16 @@ def write(record: Record, results: Path) -> Path:
     path = record.path(results)
     atomic_write(path, (record.model_dump_json(indent=1) + "\n").encode())
     return path
+
+
+def check_writable(results: Path) -> None:
+    """Makes the results folder where there is none; raises `RunError` when nothing can be written there."""
+    try:
+        results.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=results):
+            pass
+    except OSError as error:
+        raise RunError(f"cannot write into {results}: {error.strerror}") from error
 
 
 def read(path: Path, results: Path) -> Record:

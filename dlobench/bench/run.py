@@ -139,6 +139,7 @@ def run(
         record = results.read(path, out)
         reporter.say(f"run: reused the record {path}; --force runs it again")
         return record
+    results.check_writable(out)  # better said now than after the fit
     begin = time.perf_counter()
     with reporter.bar("loading", "domains") as listen:
         parts = _load(order, store, partition, listen)

@@ -5,9 +5,11 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from itertools import islice
 from typing import TypeVar
 
@@ -37,11 +39,12 @@ def local(function: Callable[[Work], Result], work: Iterable[Work], workers: int
     The first failure, and Ctrl-C, end the pool at once: pieces are atomic, so that what is done stays done.
     """
     context = multiprocessing.get_context("spawn")  # MuJoCo and forked threads do not mix
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_ignore_interrupt)
+    pool = ProcessPoolExecutor(workers, mp_context=context)
     queue = iter(work)
     try:
         # Few pieces wait in the pool at a time, so that memory does not grow with the amount of work.
-        running: set[Future[Result]] = {pool.submit(function, piece) for piece in islice(queue, 2 * workers)}
+        with _workers_ignore_interrupts():
+            running: set[Future[Result]] = {pool.submit(function, piece) for piece in islice(queue, 2 * workers)}
         while running:
             done, running = wait(running, return_when=FIRST_COMPLETED)
             running |= {pool.submit(function, piece) for piece in islice(queue, len(done))}
@@ -55,6 +58,14 @@ def local(function: Callable[[Work], Result], work: Iterable[Work], workers: int
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _ignore_interrupt() -> None:
-    """Leaves Ctrl-C to the parent, which ends the workers itself."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+@contextmanager
+def _workers_ignore_interrupts() -> Iterator[None]:
+    """Leaves Ctrl-C to the parent: workers that are started meanwhile inherit that they ignore it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # only the main thread may set handlers, and only it gets interrupts
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from dlobench.domain import DLO_RADIUS, SEGMENT_LENGTH, WORKSPACE, Domain, Material
 from dlobench.errors import RunError
-from dlobench.world.scene import APART, CYLINDER_RADIUS, PUSHER_RADIUS, REACH
+from dlobench.world.chain import APART, CYLINDER_RADIUS
+from dlobench.world.scene import PUSHER_RADIUS, REACH
 
 Array = NDArray[np.float64]
 
