@@ -12,7 +12,7 @@ from dlobench.world import contact
 CYLINDER_RADIUS = 0.0075  # m, the body that an attached DLO ends in
 CYLINDER_HEIGHT = 0.015  # m
 CYLINDER_DENSITY = 1200.0  # kg/m³
-DAMPING_TIME = 0.001  # s, joint damping over joint stiffness
+DAMPING_TIME = 0.02  # s, joint damping over joint stiffness
 NEVER_YIELDS = 1e3  # rad; keeps plastic state allocated, so that materials share their sizes
 APART = 3  # segments closer than this along the chain are never tested for contact
 _HALF_TURN_Y = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)  # lays a capsule's axis along x

@@ -16,7 +16,7 @@ SUPPORT_RADIUS = 0.001  # m, spheres under bodies and cylinders
 
 # Contact bits: what carries weight, and what is solid.
 TABLE, DLO_PLATE, CYLINDER_PLATE, WALL, DLO, BODY, PUSHER = (1 << bit for bit in range(7))
-SOLID_SOLREF, SOLID_SOLIMP = (0.01, 1.0), (0.99, 0.999, 0.001)
+SOLID_SOLREF, SOLID_SOLIMP = (0.02, 1.0), (0.99, 0.999, 0.001)
 _SUPPORT_SOLREF, _SUPPORT_SOLIMP = (0.02, 1.0), (0.3, 0.3, 0.001)
 
 

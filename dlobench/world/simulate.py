@@ -14,7 +14,7 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
-from dlobench.domain import Domain
+from dlobench.domain import WORKSPACE, Domain
 from dlobench.errors import RunError
 from dlobench.trajectories import Trajectories, geometry
 from dlobench.world import actions, scene, starts
@@ -48,7 +48,7 @@ class Simulator:
         self.layout = scene.layout(self.model, domain)
         self._batch = Batch(self.model, simulations, threads, persistent=True)  # sleeping needs it
         self._xpos, self._xmat = self._batch.bind("xpos"), self._batch.bind("xmat")
-        self.failed = np.zeros(simulations, dtype=bool)  # raised or warned since the reset
+        self.failed = np.zeros(simulations, dtype=bool)  # raised, warned or went through a wall since the reset
 
     def reset(self, begin: Sequence[starts.Start]) -> State:
         """Places every simulation at its start, lets it settle for the time of a push, and returns the state."""
@@ -68,11 +68,19 @@ class Simulator:
             self._batch.rollout(plan.shape[1], plan)
         self.failed |= (self._batch.status != 0) | self._batch.warning.reshape(len(self.failed), -1).any(axis=1)
         self._batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
-        return observe(self.layout, self._xpos, self._xmat)
+        state = observe(self.layout, self._xpos, self._xmat)
+        self.failed |= _outside(state)
+        return state
 
     def fixed_cylinders(self) -> Array | None:
         """Returns the (S, 2) places of the fixed cylinders, m, or None."""
         return fixed_point(self.layout, self.domain, self._xpos)
+
+
+def _outside(state: State) -> NDArray[np.bool_]:
+    """Tells which simulations have squeezed a segment or a body through a wall, its centre first."""
+    places = np.concatenate([state.dlo[..., :2], state.bodies[..., :2]], axis=1)
+    return ~(np.abs(places) <= WORKSPACE / 2).all(axis=(1, 2))
 
 
 @dataclass(frozen=True)
@@ -81,7 +89,7 @@ class Account:
 
     commands_redrawn: int  # infeasible commands
     commands: int  # feasible commands
-    trajectories_redrawn: int  # simulations that raised or warned
+    trajectories_redrawn: int  # simulations that raised, warned or went through a wall
 
 
 def simulate(
@@ -89,7 +97,7 @@ def simulate(
 ) -> tuple[Trajectories, Account]:
     """Simulates one trajectory a seed, with biased pushes executed with noise.
 
-    A trajectory whose simulation raises or warns is redrawn from its seed and the attempt's number, and counted.
+    A trajectory whose simulation raises, warns or goes through a wall is redrawn from its seed and the attempt's number, and counted.
     Raises `RunError` when one fails too often.
     """
     done: dict[int, list[Array]] = {}
