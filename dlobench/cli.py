@@ -124,6 +124,8 @@ def run(
         budget=Budget(steps=max_steps, minutes=max_minutes),
         device=bench.resolve_device(device),
     )
+    if out.exists() and not out.is_dir():
+        raise UsageError(f"--out {out} is not a folder")
     if out.is_dir():
         results.read_all(out)  # a foreign file would spoil the board: better said now than after the fit
     command = shlex.join(["dlobench", *sys.argv[1:]])
@@ -224,7 +226,7 @@ def main() -> None:
         elif format_message is None:
             raise
         else:
-            _fail(format_message())
+            _fail(f"{format_message()} (in: {shlex.join(sys.argv[1:])})")
             code = 2
     if code == 130:
         _fail("interrupted; what is done is kept, and the same command goes on from there")

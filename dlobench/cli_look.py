@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dlobench.errors import RunError
+from dlobench.errors import RunError, UsageError
 
 if TYPE_CHECKING:
     from dlobench.data.sets import DomainSet, ScaleName, Unit
@@ -94,13 +94,13 @@ def data_repair(
     from dlobench.data.generate import generate, status
     from dlobench.data.sets import find
 
-    store, of, reporter = open_store(data), find(set_name), TerminalReporter()
+    store, of, reporter, processes = open_store(data), find(set_name), TerminalReporter(), check_workers(workers)
     broken = list(status(store, of, _units(of, "paper"), every_byte=True).broken)
     for unit in broken:
         store.discard(of, unit)
     if broken:
         with reporter.bar("repairing", "pushes") as listen:
-            generate(store, broken, check_workers(workers), lambda done, total: listen(done, total, {}))
+            generate(store, broken, processes, lambda done, total: listen(done, total, {}))
     reporter.say(f"data: {len(broken)} broken shards of {of.name} generated again")
 
 
@@ -111,7 +111,10 @@ def open_store(data: Path | None) -> Store:
     from dlobench.data.store import Store
 
     environment = os.environ.get("DLOBENCH_DATA")
-    return Store((data or (Path(environment) if environment else user_cache_path("dlobench"))).expanduser().absolute())
+    root = (data or (Path(environment) if environment else user_cache_path("dlobench"))).expanduser().absolute()
+    if root.exists() and not root.is_dir():
+        raise UsageError(f"--data {root} is not a folder")
+    return Store(root)
 
 
 def _units(of: DomainSet, scale: ScaleName) -> list[Unit]:

@@ -164,7 +164,8 @@ def sample(
         raise UsageError(f"rigid_objects = {rigid_objects!r} is outside 0–{MAX_BODIES}")
 
     def log_uniform(low: float, high: float) -> float:
-        return float(np.clip(np.exp(rng.uniform(np.log(low), np.log(high))), low, high))
+        # math, not numpy: a definition must be the same to the last bit whatever vector instructions a CPU has
+        return min(max(math.exp(rng.uniform(math.log(low), math.log(high))), low), high)
 
     surface_friction = float(rng.uniform(*SURFACE_FRICTION))
     density = float(rng.uniform(*DLO_DENSITY))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dlobench import domain
-from dlobench.bench.evaluate import call, predict
+from dlobench.bench.evaluate import call, parameters, predict
 from dlobench.bench.model import Model, Setting
 from dlobench.bench.plugins import ModelPlugin
 from dlobench.errors import RunError
@@ -64,7 +64,7 @@ def check(plugin: ModelPlugin) -> Iterator[Check]:
     yield _outcome("adapts to 1 trajectory and predicts", lambda: predict(_adapt(model, data), query, plugin.name))
     yield _outcome("adapting leaves the model as it was", lambda: _unchanged(model, data, query, plugin.name))
     yield _outcome("the same seed gives the same model", lambda: _same(model, _fit(plugin, data), query, plugin.name))
-    yield _outcome("counts its parameters", lambda: _parameters(model))
+    yield _outcome("counts its parameters", lambda: parameters(model, plugin.name))
 
 
 def _outcome(name: str, function: Callable[[], object]) -> Check:
@@ -95,10 +95,10 @@ def _same(one: Model, other: Model, query: Query, name: str) -> None:
 
 
 def _untouched(model: Model, query: Query, name: str) -> None:
-    before = copy.deepcopy(query)
-    predict(model, query, name)
+    given = copy.deepcopy(query)
+    call(name, lambda: model.predict(given, 1))
     for field in dataclasses.fields(Query):
-        if not np.array_equal(getattr(before, field.name), getattr(query, field.name)):
+        if not np.array_equal(getattr(given, field.name), getattr(query, field.name)):
             raise RunError(f"predict changed query.{field.name}")
 
 
@@ -114,9 +114,3 @@ def _unchanged(model: Model, data: list[Trajectories], query: Query, name: str) 
     _adapt(model, data)
     if not np.array_equal(before, predict(model, query, name).dlo):
         raise RunError("its predictions changed")
-
-
-def _parameters(model: Model) -> None:
-    count = call("parameters", model.parameters)
-    if not isinstance(count, int) or count < 0:
-        raise RunError(f"parameters returned {count!r}, a whole number was asked for")

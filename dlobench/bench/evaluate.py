@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import time
 import traceback
 from collections.abc import Callable, Mapping
@@ -14,10 +15,13 @@ from dlobench.bench import metrics
 from dlobench.bench.model import Model
 from dlobench.bench.results import CellScore, DomainScore
 from dlobench.bench.task import Fit, Scale, Task, supports
+from dlobench.domain import WORKSPACE
 from dlobench.errors import RunError
 from dlobench.trajectories import Prediction, Query, Trajectories
 
 Returned = TypeVar("Returned")
+
+FAR = 1000.0  # m, beyond which a prediction is taken for a mistake
 
 
 def call(what: str, function: Callable[[], Returned]) -> Returned:
@@ -26,22 +30,38 @@ def call(what: str, function: Callable[[], Returned]) -> Returned:
         return function()
     except RunError as error:
         raise RunError(f"{what}: {error}") from error
-    except Exception as error:
-        line = traceback.extract_tb(error.__traceback__)[-1]
+    except (Exception, SystemExit) as error:
+        frames = traceback.extract_tb(error.__traceback__)
+        own = [frame for frame in frames if "site-packages" not in frame.filename and "<" not in frame.filename]
+        line = (own or frames)[-1]  # the plugin's line rather than that of a library it calls
         where = f"{Path(line.filename).name}:{line.lineno}"
         raise RunError(f"{what} raised {type(error).__name__} at {where}: {error}") from error
 
 
 def predict(model: Model, query: Query, what: str) -> Prediction:
-    """Predicts and checks the answer: (1, B, 32, 2) finite floats; raises `RunError` otherwise."""
-    prediction = call(f"{what}.predict", lambda: model.predict(query, 1))
+    """Predicts and checks the answer: (1, B, 32, 2) floats within a kilometre; raises `RunError` otherwise.
+
+    The model gets a copy, so that whatever it does to its query changes no score.
+    """
+    prediction = call(f"{what}.predict", lambda: model.predict(copy.deepcopy(query), 1))
     dlo, wanted = getattr(prediction, "dlo", None), (1, *query.dlo.shape[:2], 2)
     if not isinstance(dlo, np.ndarray) or dlo.shape != wanted or dlo.dtype.kind != "f":
         got = f"{dlo.dtype} {dlo.shape}" if isinstance(dlo, np.ndarray) else type(dlo).__name__
         raise RunError(f"{what}.predict returned dlo of {got}, a float array of {wanted} was asked for")
-    if not np.isfinite(dlo[:, :, query.dlo_mask]).all():
+    valid = dlo[:, :, query.dlo_mask]
+    if not np.isfinite(valid).all():
         raise RunError(f"{what}.predict returned values that are not finite")
+    if np.abs(valid).max(initial=0) > FAR:
+        raise RunError(f"{what}.predict returned a segment {np.abs(valid).max():.3g} m away, in a box of {WORKSPACE} m")
     return prediction
+
+
+def parameters(model: Model, what: str) -> int:
+    """Returns the model's number of parameters; raises `RunError` when it is not a whole number."""
+    count = call(f"{what}.parameters", model.parameters)
+    if type(count) is not int or count < 0:
+        raise RunError(f"{what}.parameters returned {count!r}, a whole number was asked for")
+    return count
 
 
 def score_cell(
@@ -63,7 +83,7 @@ def score_cell(
         true, mask = truth.dlo[0], query.dlo_mask
         errors = []
         for chosen in supports(scale.support, K):
-            support = trajectories.take(chosen)
+            support = copy.deepcopy(trajectories.take(chosen))  # the model's own: the pool stays as it is
             begin = time.perf_counter()
             adapted = call(f"{what}.adapt", lambda s=support: model.adapt(s)) if K else model  # type: ignore[misc]
             if not isinstance(adapted, Model):

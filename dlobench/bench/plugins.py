@@ -6,6 +6,7 @@ import ast
 import dataclasses
 import hashlib
 import importlib.util
+import re
 import sys
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -57,10 +58,12 @@ def load_model(name_or_path: str) -> ModelPlugin:
     Raises `UsageError` for what is no plugin, `RunError` for one that fails to load.
     """
     path = _resolve("models", name_or_path)
+    if not re.fullmatch(r"[A-Za-z0-9_.-]+", path.stem):
+        raise UsageError(f"plugin file {path.name!r}: its name goes into records; use letters, digits and any of _ . -")
     module = _execute(path, "model")
     classes = [
         value
-        for value in vars(module).values()
+        for value in {id(value): value for value in vars(module).values()}.values()  # an alias is no second model
         if isinstance(value, type) and issubclass(value, Model) and value.__module__ == module.__name__
     ]
     if len(classes) != 1:
@@ -105,7 +108,8 @@ def parse_settings(model: type[Model], settings: list[str]) -> dict[str, Any]:
             fields = ", ".join(f"{k}={v}" for k, v in known.items()) or "it has none"
             raise UsageError(f"--set {setting!r} is not FIELD=VALUE with a hyperparameter of the model: {fields}")
         try:
-            out[name] = TypeAdapter(hints[name]).validate_strings(None if text == "None" else text)
+            adapter = TypeAdapter(hints[name])
+            out[name] = adapter.validate_python(None) if text == "None" else adapter.validate_strings(text)
         except ValidationError as error:
             raise UsageError(f"--set {setting!r}: {error.errors()[0]['msg'].lower()}") from error
     return out

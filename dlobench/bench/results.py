@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 import dlobench
 from dlobench.data.store import atomic_write
@@ -96,6 +96,14 @@ class Record(_Part):
     fits: list[FitReport]
     cells: list[CellScore]
     provenance: Provenance
+
+    @model_validator(mode="after")
+    def _every_cell_has_a_fit(self) -> Record:
+        fits = {(fit.trajectories, fit.horizon) for fit in self.fits}
+        for cell in self.cells:
+            if (cell.trajectories, cell.horizon) not in fits:
+                raise ValueError(f"cell {cell.id} has no fit")
+        return self
 
     def path(self, results: Path) -> Path:
         """Returns where the record is kept: no two configurations share a place."""

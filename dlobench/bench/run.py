@@ -14,7 +14,7 @@ import numpy as np
 
 from dlobench import machine
 from dlobench.bench import results
-from dlobench.bench.evaluate import call, score_cell
+from dlobench.bench.evaluate import call, parameters, score_cell
 from dlobench.bench.model import Model, Setting
 from dlobench.bench.plugins import ModelPlugin, hyperparameters
 from dlobench.bench.results import CellScore, FitReport, Provenance, Record
@@ -143,11 +143,11 @@ def run(
     begin = time.perf_counter()
     with reporter.bar("loading", "domains") as listen:
         parts = _load(order, store, partition, listen)
-    reports, cells, parameters = list[FitReport](), list[CellScore](), 0
+    reports, cells, learned = list[FitReport](), list[CellScore](), 0
     for fit in order.fits:
         model, report = _fit(order, hyper, fit, parts, reporter)
         reports.append(report)
-        parameters = max(parameters, call("parameters", model.parameters))
+        learned = max(learned, parameters(model, order.plugin.name))
         cells += _score(order, model, fit, parts["test"], reporter)
     commit, dirty = results.checkout()
     record = Record(
@@ -157,7 +157,7 @@ def run(
         model=order.plugin.name,
         config=config,
         seed=order.seed,
-        parameters=parameters,
+        parameters=learned,
         seconds=time.perf_counter() - begin,
         fits=reports,
         cells=cells,

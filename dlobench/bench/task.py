@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from dlobench.data.sets import DomainSet, ScaleName, find
+from dlobench.data.sets import Cell, DomainSet, ScaleName, find
 from dlobench.errors import UsageError
 
 DISJOINT_SUPPORTS = 10  # supports that a small K is averaged over, where the pool holds as many
@@ -85,6 +85,10 @@ class Task:
     def domains(self, scale: ScaleName) -> list[int]:
         """Returns the domains of the set's scale that the task is about."""
         of = find(self.set)
+        fields = Cell.__dataclass_fields__
+        for name in self.where:
+            if name not in fields:
+                raise UsageError(f"task {self.name}: where has {name!r}, a cell has: {', '.join(fields)}")
         return [i for i in of.domains(scale) if all(getattr(of.cell(i), k) == v for k, v in self.where.items())]
 
     def trajectories(self, scale: ScaleName) -> int:

@@ -39,7 +39,7 @@ def local(function: Callable[[Work], Result], work: Iterable[Work], workers: int
     The first failure, and Ctrl-C, end the pool at once: pieces are atomic, so that what is done stays done.
     """
     context = multiprocessing.get_context("spawn")  # MuJoCo and forked threads do not mix
-    pool = ProcessPoolExecutor(workers, mp_context=context)
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_end_with_parent)
     queue = iter(work)
     try:
         # Few pieces wait in the pool at a time, so that memory does not grow with the amount of work.
@@ -69,3 +69,15 @@ def _workers_ignore_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def _end_with_parent() -> None:
+    """Ends the worker when its parent is killed, which gives it no time to end its workers."""
+
+    def follow() -> None:
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()

@@ -74,7 +74,7 @@ class DomainSet:
     block: int  # trajectories a shard
     extents: dict[ScaleName, Extent]
 
-    @property
+    @cached_property
     def key(self) -> str:
         """Names the folder of the set: everything that decides its bytes on one kind of CPU."""
         return f"{self.name}-v{self.version}-world{WORLD_VERSION}-mujoco{version('mujoco')}"

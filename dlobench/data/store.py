@@ -70,6 +70,17 @@ def unpack(rows: Rows, domain: Domain) -> Trajectories:
     return Trajectories(dlo_mask=dlo_mask, body_mask=body_mask, boxes=boxes, **fields)
 
 
+def _is_sidecar(found: object) -> bool:
+    """Tells whether JSON has the fields of a sidecar, of the types that are reckoned with."""
+    return (
+        isinstance(found, dict)
+        and found.keys() >= _FIELDS
+        and found["schema"] == SCHEMA
+        and type(found["bytes"]) is int
+        and type(found["seconds"]) in (int, float)
+    )
+
+
 @dataclass(frozen=True)
 class Store:
     """Reads and writes the shards under one data folder."""
@@ -87,12 +98,12 @@ class Store:
         """
         path = self.path(of, unit)
         try:
-            found = json.loads(path.with_suffix(".json").read_text())
+            found: dict[str, Any] = json.loads(path.with_suffix(".json").read_text())
         except FileNotFoundError:
             return None
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise Broken(path, f"unreadable sidecar: {error}") from error
-        if not isinstance(found, dict) or not found.keys() >= _FIELDS or found["schema"] != SCHEMA:
+        if not _is_sidecar(found):
             raise Broken(path, "its sidecar is not one of ours")
         if (
             found["key"] != of.key
@@ -120,7 +131,10 @@ class Store:
             raise Broken(path, f"unreadable: {error.strerror}") from error
         if hashlib.sha256(content).hexdigest() != found["sha256"]:
             raise Broken(path, "its SHA-256 differs from the one in its sidecar")
-        rows = np.load(io.BytesIO(content), allow_pickle=False)
+        try:
+            rows = np.lib.format.read_array(io.BytesIO(content), allow_pickle=False)
+        except (ValueError, EOFError) as error:
+            raise Broken(path, f"it holds no plain array: {error}") from error
         if rows.shape != (unit.count, PUSHES + 1, WIDTH) or rows.dtype != np.float32 or not np.isfinite(rows).all():
             raise Broken(path, f"{rows.dtype} {rows.shape} is not a finite shard")
         return unpack(rows, of.domain(unit.domain))

@@ -30,9 +30,12 @@ def feasible(pusher: Array, displacement: Array, fixed: Array | None) -> bool:
         return False
     if fixed is None:
         return True
-    along = np.clip((fixed - pusher) @ displacement / (displacement @ displacement), 0, 1)
+    towards = (fixed - pusher) @ displacement
+    if towards <= -NOISE_LIMIT * np.linalg.norm(fixed - pusher):
+        return True  # it leads away, so that no noise brings the pusher closer than it is
+    along = np.clip(towards / (displacement @ displacement), 0, 1)
     clearance = np.linalg.norm(pusher + along * displacement - fixed)
-    return bool(clearance > PUSHER_RADIUS + CYLINDER_RADIUS + NOISE_LIMIT) or bool(along == 0)
+    return bool(clearance > PUSHER_RADIUS + CYLINDER_RADIUS + NOISE_LIMIT)
 
 
 def draw(rng: np.random.Generator, pusher: Array, dlo: Array, fixed: Array | None) -> tuple[Array, int]:

@@ -25,7 +25,7 @@ GRAVITY = 9.81  # m/s²
 PUSHER_RADIUS = 0.0075  # m
 PUSHER_MASS = 0.1  # kg
 REACH = WORKSPACE / 2 - PUSHER_RADIUS - 2.5 * DLO_RADIUS  # m, the pusher's axis stays within: a DLO fits behind it
-PUSHER_FORCE = 2.0  # N, the bound of each of the two servos
+PUSHER_FORCE = 1.2  # N, the bound of each of the two servos: the heaviest body resists with 1.1 N
 PUSHER_GAINS = {"kp": 1000.0, "kv": 20.0, "ki": 1e4, "imax": 3e-5}  # N/m, N s/m, N/(m s), m s
 FRAME_MASS = 1e-6  # kg, what MuJoCo wants in the planar frame of a body whose mass is all in its foot
 

@@ -80,7 +80,8 @@ class Simulator:
 def _outside(state: State) -> NDArray[np.bool_]:
     """Tells which simulations have squeezed a segment or a body through a wall, its centre first."""
     places = np.concatenate([state.dlo[..., :2], state.bodies[..., :2]], axis=1)
-    return ~(np.abs(places) <= WORKSPACE / 2).all(axis=(1, 2))
+    outside: NDArray[np.bool_] = ~(np.abs(places) <= WORKSPACE / 2).all(axis=(1, 2))  # also where it is no number
+    return outside
 
 
 @dataclass(frozen=True)
@@ -97,15 +98,15 @@ def simulate(
 ) -> tuple[Trajectories, Account]:
     """Simulates one trajectory a seed, with biased pushes executed with noise.
 
-    A trajectory whose simulation raises, warns or goes through a wall is redrawn from its seed and the attempt's number, and counted.
-    Raises `RunError` when one fails too often.
+    A trajectory whose simulation raises, warns or goes through a wall is redrawn from its seed and the attempt's
+    number, and counted. Raises `RunError` when one fails too often.
     """
     done: dict[int, list[Array]] = {}
     missing = list(range(len(seeds)))
     commands = redrawn = failures = 0
     for attempt in range(RETRIES):
-        rows, count, failed = _attempt(domain, [[*seeds[i], attempt] for i in missing], threads, pushes)
-        commands, redrawn = commands + len(missing) * pushes, redrawn + count
+        rows, drawn, again, failed = _attempt(domain, [[*seeds[i], attempt] for i in missing], threads, pushes)
+        commands, redrawn = commands + drawn, redrawn + again
         failures += int(failed.sum())
         done |= {i: [field[k] for field in rows] for k, i in enumerate(missing) if not failed[k]}
         missing = [i for k, i in enumerate(missing) if failed[k]]
@@ -123,14 +124,14 @@ def simulate(
 
 def _attempt(
     domain: Domain, seeds: Sequence[Sequence[int]], threads: int, pushes: int
-) -> tuple[list[Array], int, NDArray[np.bool_]]:
-    """Returns the five recorded arrays (S first), the number of commands redrawn and who failed."""
+) -> tuple[list[Array], int, int, NDArray[np.bool_]]:
+    """Returns the five recorded arrays (S first), how many commands were drawn and redrawn, and who failed."""
     streams = [Streams.of(seed) for seed in seeds]
     simulator = Simulator(domain, len(seeds), threads)
     state = simulator.reset([starts.sample(domain, s.start) for s in streams])
     fixed = simulator.fixed_cylinders()
     states, commanded, executed = [state], [], []
-    redrawn = 0
+    drawn = redrawn = 0
     for _ in range(pushes):
         command, noise = np.zeros((2, len(seeds), 2))
         for s in np.flatnonzero(~simulator.failed):
@@ -139,10 +140,10 @@ def _attempt(
                 streams[s].action, state.pusher[s], dlo, None if fixed is None else fixed[s]
             )
             noise[s] = actions.noise(streams[s].noise)
-            redrawn += again
+            drawn, redrawn = drawn + 1, redrawn + again
         state = simulator.push(command + noise)
         states.append(state)
         commanded.append(command)
         executed.append(command + noise)
     poses = [np.stack([getattr(s, name) for s in states], axis=1) for name in ("dlo", "pusher", "bodies")]
-    return [*poses, np.stack(commanded, axis=1), np.stack(executed, axis=1)], redrawn, simulator.failed
+    return [*poses, np.stack(commanded, axis=1), np.stack(executed, axis=1)], drawn, redrawn, simulator.failed
