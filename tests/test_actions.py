@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from dlobench.errors import RunError
 from dlobench.world import actions
-from dlobench.world.scene import CYLINDER_RADIUS, PUSHER_RADIUS, REACH
+from dlobench.world.chain import CYLINDER_RADIUS
+from dlobench.world.scene import PUSHER_RADIUS, REACH
 
 Array = NDArray[np.float64]
 

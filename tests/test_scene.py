@@ -14,6 +14,7 @@ from test_domain import UNEQUAL, make
 
 from dlobench.domain import BOX_SIZE, DLO_RADIUS, SEGMENT_LENGTH, Attachment, Domain, Material, RigidBody
 from dlobench.world import scene
+from dlobench.world.contact import friction_table
 from dlobench.world.physics import Physics
 from dlobench.world.starts import Start, possible
 
@@ -148,7 +149,7 @@ def test_friction_in_force_is_that_of_the_table(attachment: Attachment, kinds: s
     physics = Physics(domain)
     physics.start(start(domain, root=[0.12, 0.11, 0.3], bends=0.3, **heap))
     mujoco.mj_collision(physics.model, physics.data)
-    table = scene.friction_table(domain)
+    table = friction_table(domain)
     documented = {
         "dlo-table": 0.45,
         "cylinder-table": 0.45,
