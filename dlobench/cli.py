@@ -31,7 +31,7 @@ app.add_typer(list_app, name="list")
 app.add_typer(data_app, name="data")
 app.add_typer(leaderboard_app, name="leaderboard")
 
-Scale = Annotated[str, typer.Option(help="How much: mini (minutes), small (a night), paper (a cluster).")]
+Scale = Annotated[str, typer.Option(help="How much: mini (minutes), small (hours), paper (a cluster).")]
 
 
 def _version(wanted: bool) -> None:
@@ -101,6 +101,7 @@ def run(
     out: Annotated[Path, typer.Option(help="Where records and their leaderboard go.")] = Path("runs"),
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
     workers: Workers = 0,
+    threads: Annotated[int, typer.Option(min=1, help="Threads of torch; small networks gain nothing from more.")] = 1,
     force: Annotated[bool, typer.Option("--force", help="Run again what is recorded already.")] = False,
 ) -> None:
     """Run a model on a task: generate what is missing, fit, adapt, score, record, print the board."""
@@ -122,7 +123,7 @@ def run(
         seed=seed,
         settings=parse_settings(plugin.model, settings or []),
         budget=Budget(steps=max_steps, minutes=max_minutes),
-        device=bench.resolve_device(device),
+        device=bench.resolve_device(device, threads),
     )
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out} is not a folder")
@@ -184,7 +185,7 @@ def _board(frame: Any) -> None:
             row.model,
             row.config,
             str(row.seeds),
-            f"{row.skill:.3f}",
+            f"{round(row.skill, 3) + 0.0:.3f}",  # never -0.000
             f"{row.mse_m2 * 1e4:.3f}",
             f"{row.euclidean_m * 1e3:.2f}",
             f"{row.parameters:,}",
@@ -226,8 +227,12 @@ def main() -> None:
         elif format_message is None:
             raise
         else:
-            _fail(f"{format_message()} (in: {shlex.join(sys.argv[1:])})")
+            message = format_message()
+            if "\n" in message:  # the help of a command that was called without arguments
+                typer.echo(message, err=True)
+            else:
+                _fail(f"{message} (in: {shlex.join(sys.argv[1:])})")
             code = 2
     if code == 130:
-        _fail("interrupted; what is done is kept, and the same command goes on from there")
+        _fail("interrupted; shards and records are kept, and the same command goes on from them")
     sys.exit(code)

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from dlobench.bench.model import Model, Setting
 from dlobench.errors import RunError
-from dlobench.nn.fit import Network, Plan, descend
+from dlobench.nn.fit import Network, Plan, descend, positive
 from dlobench.nn.networks import Layers, detached, flat, initial, mlp, stacked, weighted_mse
 from dlobench.nn.windows import COORDINATES, Target, Windows, standardise
 from dlobench.trajectories import Prediction, Query, Trajectories
@@ -70,6 +70,9 @@ class Maml(Model):
 
     def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
         """Learns the weights to start from and the inner rates; validates on adapted models of unseen domains."""
+        positive(
+            self, "N", "queries", "width", "depth", "inner_rate", *(["K_train"] if self.K_train is not None else [])
+        )
         windows, scaling = standardise(
             train, horizon=setting.horizon, bodies=False, target=self.target, device=self.device
         )
@@ -77,7 +80,7 @@ class Maml(Model):
         sizes = [windows.inputs.shape[-1], *[self.width] * self.depth, COORDINATES]
         layers = initial(sizes, generator, self.device)
         log_rates = torch.full((len(layers),), self.inner_rate, device=self.device).log_().requires_grad_()
-        supports = [self.K_train] if self.K_train else [K for K in setting.K if K > 0] or [1]
+        supports = [self.K_train] if self.K_train is not None else [K for K in setting.K if K > 0] or [1]
 
         def train_loss() -> Tensor:
             K = supports[int(torch.randint(len(supports), (), generator=generator))]

@@ -16,7 +16,7 @@ from dlobench.bench.model import Model
 from dlobench.bench.results import CellScore, DomainScore
 from dlobench.bench.task import Fit, Scale, Task, supports
 from dlobench.domain import WORKSPACE
-from dlobench.errors import RunError
+from dlobench.errors import RunError, UsageError
 from dlobench.trajectories import Prediction, Query, Trajectories
 
 Returned = TypeVar("Returned")
@@ -28,8 +28,8 @@ def call(what: str, function: Callable[[], Returned]) -> Returned:
     """Calls into a plugin; what it raises becomes a `RunError` that names the error and the line."""
     try:
         return function()
-    except RunError as error:
-        raise RunError(f"{what}: {error}") from error
+    except (RunError, UsageError) as error:
+        raise type(error)(f"{what}: {error}") from error
     except (Exception, SystemExit) as error:
         frames = traceback.extract_tb(error.__traceback__)
         own = [frame for frame in frames if "site-packages" not in frame.filename and "<" not in frame.filename]

@@ -82,9 +82,14 @@ def order(task: Task, scale: ScaleName, plugin: ModelPlugin, K: int | None, hori
     return Order(task, scale, plugin, fits, chosen.K if K is None else (K,), **rest)
 
 
-def resolve_device(device: str) -> str:
-    """Returns "cpu" or "cuda"; raises `UsageError` for another name or a CUDA device that is not there."""
+def resolve_device(device: str, threads: int = 1) -> str:
+    """Returns "cpu" or "cuda" and sets torch's threads.
+
+    Raises `UsageError` for another name or a CUDA device that is not there.
+    """
     import torch
+
+    torch.set_num_threads(threads)  # idle threads spin, which costs a shared machine a multiple of the time
 
     if device not in ("auto", "cpu", "cuda"):
         raise UsageError(f"unknown device {device!r}; there are: auto, cpu, cuda")
@@ -203,9 +208,7 @@ def _fit(
     name = order.plugin.name
     model = call(name, lambda: order.plugin.model(seed=order.seed, device=order.device, **hyper))
     curve = list[dict[str, float]]()
-    with reporter.bar(
-        f"fitting {name} on {fit.trajectories} trajectories a domain, h = {fit.horizon}", "steps"
-    ) as listen:
+    with reporter.bar(f"fitting h = {fit.horizon}", "steps") as listen:
         log = Log([listen, lambda step, total, values: curve.append({"step": float(step), **values})])
         setting = Setting(horizon=fit.horizon, K=order.K, budget=order.budget, log=log)
         train = [trajectories.take(slice(fit.trajectories)) for trajectories in parts["train"].values()]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from dlobench.errors import RunError
+from dlobench.errors import RunError, UsageError
 from dlobench.nn.budget import Budget, Log
 from dlobench.nn.networks import Layers, detached, flat, initial, mlp, size, weighted_mse
 from dlobench.nn.windows import COORDINATES, Scaling, Target, Windows, standardise
@@ -20,6 +20,14 @@ DIVERGED = 100.0  # times the first loss
 CHUNK = 8192  # windows a forward pass without gradient takes at once
 
 
+def positive(holder: object, *names: str) -> None:
+    """Raises `UsageError` for the first of these hyperparameters that is not a positive number."""
+    for name in names:
+        value = getattr(holder, name)
+        if not (math.isfinite(value) and value > 0):
+            raise UsageError(f"{name} = {value!r} is not a positive number")
+
+
 @dataclass(frozen=True)
 class Plan:
     """Says how long to descend and how fast."""
@@ -28,6 +36,9 @@ class Plan:
     learning_rate: float
     patience: int  # validations without a new best before it stops
     every: int = 500  # steps between two validations
+
+    def __post_init__(self) -> None:
+        positive(self, "steps", "learning_rate", "patience", "every")
 
 
 def descend(
@@ -107,6 +118,9 @@ class Regression:
     target: Target
     batch: int  # windows
     plan: Plan
+
+    def __post_init__(self) -> None:
+        positive(self, "width", "depth", "batch")
 
 
 def regress(
