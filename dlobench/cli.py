@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import math
 import os
 import shlex
 import signal
@@ -107,6 +109,7 @@ def run(
     """Run a model on a task: generate what is missing, fit, adapt, score, record, print the board."""
     from dlobench.bench import leaderboard, results
     from dlobench.bench import run as bench
+    from dlobench.bench.order import order, resolve_device
     from dlobench.bench.plugins import load_model, load_task, parse_settings
     from dlobench.console import TerminalReporter
     from dlobench.data.executors import check_workers
@@ -114,7 +117,7 @@ def run(
     from dlobench.nn.budget import Budget
 
     plugin = load_model(model)
-    order = bench.order(
+    wanted = order(
         load_task(task),
         find_scale(scale),
         plugin,
@@ -123,15 +126,17 @@ def run(
         seed=seed,
         settings=parse_settings(plugin.model, settings or []),
         budget=Budget(steps=max_steps, minutes=max_minutes),
-        device=bench.resolve_device(device, threads),
+        device=resolve_device(device, threads),
     )
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out} is not a folder")
     if out.is_dir():
         results.read_all(out)  # a foreign file would spoil the board: better said now than after the fit
-    command = shlex.join(["dlobench", *sys.argv[1:]])
+    if max_minutes is not None and not math.isfinite(max_minutes):
+        raise UsageError(f"--max-minutes {max_minutes} is not a finite number of minutes")
+    command = shlex.join(["dlobench", *sys.argv[1:]]).encode(errors="backslashreplace").decode()
     record = bench.run(
-        order,
+        wanted,
         open_store(data),
         out,
         command=command,
@@ -167,6 +172,8 @@ def leaderboard_build(
     from dlobench.bench import leaderboard
     from dlobench.bench.results import read_all
 
+    if out is not None and (out.suffix != ".csv" or (results in out.parents and out.parent != results)):
+        raise UsageError(f"--out {str(out)!r} is not a .csv file, or lies among the records")
     frame = leaderboard.table(read_all(results or COMMITTED_RESULTS))
     path = out or (results / "leaderboard.csv" if results else COMMITTED_BOARD)
     leaderboard.write(frame, path)
@@ -202,6 +209,9 @@ def _fail(message: str) -> None:
 
 def main() -> None:
     """Runs the command line. Exit codes: 0 done, 1 a run failed, 2 bad usage, 130 interrupted."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without Unicode still gets its table
     interrupts = list[int]()
 
     def interrupt(number: int, _frame: object) -> None:

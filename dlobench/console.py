@@ -41,7 +41,7 @@ class TerminalReporter:
             TextColumn("{task.fields[unit]}"),
             _Rate(),
             TimeRemainingColumn(),
-            TextColumn("{task.fields[values]}"),
+            TextColumn("{task.fields[values]}", markup=False),
         )
         with Progress(*columns, console=self._console) as progress:
             bar = progress.add_task(title, total=None, unit=unit, values="")

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import os
+import re
 import subprocess
 import sys
 from collections import Counter
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import assume, given, settings
@@ -131,11 +134,6 @@ def test_one_trajectory_is_averaged_over_ten_supports() -> None:
     assert len(supports(10, 1)) == len(supports(50, 1)) == 10
 
 
-def test_more_support_than_the_pool_holds_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"K = 11 .* 10 trajectories"):
-        Scale(trajectories=(20,), support=10, query=10, K=(0, 11))
-
-
 def test_a_task_reads_what_it_says() -> None:
     task = Task(
         name="toy", version=1, set=META.name, horizon=(1, 4), split=Split(salt="x", test=0.25, valid=0.1),
@@ -191,3 +189,27 @@ def test_a_task_fits_into_its_set(path: Path, scale: str) -> None:
         parts = task.partition(name)
         assert sorted(parts.train + parts.valid + parts.test) == sorted(task.domains(name))
         assert {str(of.cell(i)) for i in parts.test} == {str(of.cell(i)) for i in parts.train}
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"horizon": ()}, "horizon"),
+        ({"horizon": (25,)}, "horizon = 25"),
+        ({"name": ".."}, "'..'"),
+        ({"version": -1}, "version = -1"),
+        ({"where": {"length": 0.17}}, "0.17"),
+        ({"split": Split(salt="x", test=-1.0, valid=0.1)}, "split.test = -1.0"),
+        ({"split": Split(salt="x", test=0.9, valid=math.nan)}, "split.valid = nan"),
+        ({"mini": Scale(trajectories=(-5,), support=10, query=10, K=(1,))}, "trajectories = -5"),
+        ({"mini": Scale(trajectories=(21,), support=10, query=10, K=(1,))}, "trajectories = 21"),
+        ({"mini": Scale(trajectories=(20,), support=10, query=11, K=(1,))}, "support + query = 21"),
+        ({"mini": Scale(trajectories=(20,), support=10, query=0, K=(1,))}, "query = 0"),
+        ({"mini": Scale(trajectories=(20,), support=10, query=10, K=(11,))}, "K = 11"),
+        ({"mini": Scale(trajectories=(20,), support=10, query=10, K=(1, 1))}, "K = (1, 1)"),
+    ],
+)
+def test_what_no_run_could_honour_is_refused(change: dict[str, Any], named: str) -> None:
+    task = replace(load_task("meta"), **change)
+    with pytest.raises(UsageError, match=re.escape(named)):
+        task.check("mini")

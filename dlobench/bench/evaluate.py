@@ -30,7 +30,9 @@ def call(what: str, function: Callable[[], Returned]) -> Returned:
         return function()
     except (RunError, UsageError) as error:
         raise type(error)(f"{what}: {error}") from error
-    except (Exception, SystemExit) as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a plugin may raise anything, SystemExit too
         frames = traceback.extract_tb(error.__traceback__)
         own = [frame for frame in frames if "site-packages" not in frame.filename and "<" not in frame.filename]
         line = (own or frames)[-1]  # the plugin's line rather than that of a library it calls
@@ -59,8 +61,9 @@ def predict(model: Model, query: Query, what: str) -> Prediction:
 def parameters(model: Model, what: str) -> int:
     """Returns the model's number of parameters; raises `RunError` when it is not a whole number."""
     count = call(f"{what}.parameters", model.parameters)
-    if type(count) is not int or count < 0:
-        raise RunError(f"{what}.parameters returned {count!r}, a whole number was asked for")
+    shown = type(count).__name__ if type(count) is int and abs(count) >= 2**63 else repr(count)
+    if type(count) is not int or not 0 <= count < 2**63:
+        raise RunError(f"{what}.parameters returned {shown}, a whole number below 2⁶³ was asked for")
     return count
 
 

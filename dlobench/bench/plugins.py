@@ -60,7 +60,7 @@ def load_model(name_or_path: str) -> ModelPlugin:
     path = _resolve("models", name_or_path)
     if not re.fullmatch(r"[A-Za-z0-9_.-]+", path.stem):
         raise UsageError(f"plugin file {path.name!r}: its name goes into records; use letters, digits and any of _ . -")
-    module = _execute(path, "model")
+    module, sha256 = _execute(path, "model")
     classes = [
         value
         for value in {id(value): value for value in vars(module).values()}.values()  # an alias is no second model
@@ -75,13 +75,13 @@ def load_model(name_or_path: str) -> ModelPlugin:
         raise UsageError(f"model {model.__name__} in {path} does not define {missing}")
     if "__dataclass_fields__" not in vars(model):
         raise UsageError(f"model {model.__name__} in {path} is not a dataclass; decorate it with @dataclass")
-    return ModelPlugin(path.stem, path, hashlib.sha256(path.read_bytes()).hexdigest(), model)
+    return ModelPlugin(path.stem, path, sha256, model)
 
 
 def load_task(name_or_path: str) -> Task:
     """Loads a task by name or by path; raises as `load_model` does."""
     path = _resolve("tasks", name_or_path)
-    task = getattr(_execute(path, "task"), "TASK", None)
+    task = getattr(_execute(path, "task")[0], "TASK", None)
     if not isinstance(task, Task):
         raise UsageError(f"{path} does not define TASK, a dlobench.bench.task.Task")
     return task
@@ -131,14 +131,16 @@ def _resolve(kind: Kind, name_or_path: str) -> Path:
     return found[name_or_path].path
 
 
-def _execute(path: Path, what: str) -> ModuleType:
+def _execute(path: Path, what: str) -> tuple[ModuleType, str]:
+    """Runs a plugin file and returns its module and the SHA-256 of its content."""
     try:
         content = path.read_bytes()
     except OSError as error:
         raise UsageError(f"cannot read {path}: {error.strerror}") from error
+    sha256 = hashlib.sha256(content).hexdigest()
     name = f"dlobench_plugin_{path.stem}_{hashlib.sha256(str(path).encode() + content).hexdigest()[:12]}"
     if name in sys.modules:
-        return sys.modules[name]
+        return sys.modules[name], sha256
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise UsageError(f"{path} is not a Python file")
@@ -151,7 +153,7 @@ def _execute(path: Path, what: str) -> ModuleType:
         if isinstance(error, KeyboardInterrupt):
             raise
         raise RunError(f"{what} plugin {path} failed to load: {type(error).__name__}: {error}") from error
-    return module
+    return module, sha256
 
 
 def _about(path: Path) -> str:

@@ -30,12 +30,12 @@ class DomainScore(_Part):
 
     domain: str  # set/index
     cell: str  # of the set: material-attachment-length-objects
-    supports: int
-    windows: int  # queries
-    mse: float  # m², per coordinate
-    euclidean: float  # m, per segment
-    persistence_mse: float  # m²
-    persistence_euclidean: float  # m
+    supports: int = Field(ge=1)
+    windows: int = Field(ge=1)  # queries
+    mse: float = Field(ge=0)  # m², per coordinate
+    euclidean: float = Field(ge=0)  # m, per segment
+    persistence_mse: float = Field(ge=0)  # m²
+    persistence_euclidean: float = Field(ge=0)  # m
 
 
 class CellScore(_Part):
@@ -45,8 +45,8 @@ class CellScore(_Part):
     trajectories: int  # a training domain
     horizon: int
     K: int
-    mse: float  # m², mean over domains
-    euclidean: float  # m, mean over domains
+    mse: float = Field(ge=0)  # m², mean over domains
+    euclidean: float = Field(ge=0)  # m, mean over domains
     skill: float  # 1 − Σ mse / Σ persistence_mse
     adapt_seconds: float  # of one adaptation
     predict_seconds: float  # of one query
@@ -91,7 +91,7 @@ class Record(_Part):
     model: str = Field(pattern=_NAME)
     config: str = Field(pattern=r"^[0-9a-f]{8}$")
     seed: int = Field(ge=0)
-    parameters: int  # learned ones
+    parameters: int = Field(ge=0, lt=2**63)  # learned ones
     seconds: float  # wall time of the whole run, data aside
     fits: list[FitReport]
     cells: list[CellScore]
@@ -112,7 +112,7 @@ class Record(_Part):
 
 def config_digest(**parts: Any) -> str:
     """Returns 8 hexadecimal digits that tell configurations apart: plugin, hyperparameters, task, data, split."""
-    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:8]
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:8]
 
 
 def code_digest() -> str:
@@ -169,7 +169,7 @@ def read_all(results: Path) -> list[Record]:
     for path in sorted(results.rglob("*")):
         if path.is_dir() or path.name.startswith(".") or (path.parent == results and path.suffix in (".csv", ".md")):
             continue
-        if not _FILE.match(path.name):
+        if not _FILE.match(path.name) or not path.is_file():
             raise RunError(f"{path} is not a record of ours (task/scale/model@config/seed<k>.json); move it away")
         out.append(read(path, results))
     return out

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
@@ -16,14 +16,15 @@ from dlobench import machine
 from dlobench.bench import results
 from dlobench.bench.evaluate import call, parameters, score_cell
 from dlobench.bench.model import Model, Setting
-from dlobench.bench.plugins import ModelPlugin, hyperparameters
+from dlobench.bench.order import Order, recordable
+from dlobench.bench.plugins import hyperparameters
 from dlobench.bench.results import CellScore, FitReport, Provenance, Record
-from dlobench.bench.task import Fit, Partition, Task
+from dlobench.bench.task import Fit, Partition
 from dlobench.data.generate import generate, status
-from dlobench.data.sets import DomainSet, ScaleName, find
+from dlobench.data.sets import DomainSet
 from dlobench.data.store import Store
-from dlobench.errors import RunError, UsageError
-from dlobench.nn.budget import Budget, Listener, Log
+from dlobench.errors import RunError
+from dlobench.nn.budget import Listener, Log
 from dlobench.trajectories import Trajectories
 
 CURVE_POINTS = 200  # of a learning curve, at most
@@ -37,65 +38,6 @@ class Reporter(Protocol):
 
     def bar(self, title: str, unit: str) -> AbstractContextManager[Listener]:
         """Shows progress, with rate and ETA, while the context lasts."""
-
-
-@dataclass(frozen=True)
-class Order:
-    """Says what to run. Built by `order`, which checks it."""
-
-    task: Task
-    scale: ScaleName
-    plugin: ModelPlugin
-    fits: tuple[Fit, ...]
-    K: tuple[int, ...]
-    seed: int = 0
-    settings: Mapping[str, Any] = field(default_factory=dict)  # hyperparameters that differ from their defaults
-    budget: Budget = field(default_factory=Budget)
-    device: str = "cpu"
-
-    @property
-    def of(self) -> DomainSet:
-        """Returns the set that the task reads."""
-        return find(self.task.set)
-
-    @property
-    def domains(self) -> list[int]:
-        """Returns the domains that the run reads."""
-        return self.task.domains(self.scale)
-
-    @property
-    def trajectories(self) -> int:
-        """Returns how many trajectories of every domain the run reads."""
-        return self.task.trajectories(self.scale)
-
-
-def order(task: Task, scale: ScaleName, plugin: ModelPlugin, K: int | None, horizon: int | None, **rest: Any) -> Order:
-    """Checks and completes an order; raises `UsageError` naming the choices."""
-    chosen = task.scale(scale)
-    if K is not None and not 0 <= K <= chosen.support:
-        raise UsageError(
-            f"--K {K} does not fit into the support pool of {chosen.support} trajectories of {task.name}/{scale}"
-        )
-    if horizon is not None and horizon not in task.horizon:
-        raise UsageError(f"--horizon {horizon} is not one of {task.name}: {', '.join(map(str, task.horizon))}")
-    fits = tuple(fit for fit in task.fits(scale) if horizon in (None, fit.horizon))
-    return Order(task, scale, plugin, fits, chosen.K if K is None else (K,), **rest)
-
-
-def resolve_device(device: str, threads: int = 1) -> str:
-    """Returns "cpu" or "cuda" and sets torch's threads.
-
-    Raises `UsageError` for another name or a CUDA device that is not there.
-    """
-    import torch
-
-    torch.set_num_threads(threads)  # idle threads spin, which costs a shared machine a multiple of the time
-
-    if device not in ("auto", "cpu", "cuda"):
-        raise UsageError(f"unknown device {device!r}; there are: auto, cpu, cuda")
-    if device == "cuda" and not torch.cuda.is_available():
-        raise UsageError("--device cuda: there is no CUDA device here; cpu and auto are to be had")
-    return "cuda" if device != "cpu" and torch.cuda.is_available() else "cpu"
 
 
 def ensure_data(
@@ -129,7 +71,7 @@ def run(
     hyper = hyperparameters(order.plugin.model) | dict(order.settings)
     config = results.config_digest(
         plugin=order.plugin.sha256,
-        hyperparameters=hyper,
+        hyperparameters=recordable(hyper),
         fits=[asdict(fit) for fit in order.fits],
         K=order.K,
         budget=asdict(order.budget),
@@ -178,7 +120,7 @@ def run(
             data_sha256=data_sha256,
             split_sha256=partition.digest,
             plugin_sha256=order.plugin.sha256,
-            hyperparameters=hyper,
+            hyperparameters=recordable(hyper),
             K=list(order.K),
             budget=asdict(order.budget),
         ),

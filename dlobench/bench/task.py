@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from dlobench.data.sets import Cell, DomainSet, ScaleName, find
+from dlobench.data.sets import PUSHES, Cell, DomainSet, ScaleName, find
 from dlobench.errors import UsageError
 
 DISJOINT_SUPPORTS = 10  # supports that a small K is averaged over, where the pool holds as many
@@ -34,10 +35,6 @@ class Scale:
     support: int  # trajectories of an unseen domain that supports are drawn from
     query: int  # trajectories of an unseen domain that are scored, the same for every K
     K: tuple[int, ...]  # trajectories in a support
-
-    def __post_init__(self) -> None:
-        if max(self.K) > self.support:
-            raise UsageError(f"K = {max(self.K)} is larger than the support pool of {self.support} trajectories")
 
 
 @dataclass(frozen=True)
@@ -76,6 +73,36 @@ class Task:
     small: Scale
     paper: Scale
     where: Mapping[str, object] = field(default_factory=dict)  # fields of the set's cells and the values they must have
+
+    def check(self, scale: ScaleName) -> None:
+        """Raises `UsageError`, naming field and value, for what no run could honour at a scale."""
+        chosen, of = self.scale(scale), find(self.set)
+        most = of.extents[scale].trajectories
+
+        def numbers(field: str, values: object, low: int, high: int) -> None:
+            if not isinstance(values, tuple) or not values or len(set(values)) < len(values):
+                raise UsageError(f"task {self.name!r}: {field} = {values!r} is not a tuple of different numbers")
+            for value in values:
+                if type(value) is not int or not low <= value <= high:
+                    raise UsageError(
+                        f"task {self.name!r}: {field} = {value!r} is not a whole number from {low} to {high}"
+                    )
+
+        if not isinstance(self.name, str) or not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]*", self.name):
+            raise UsageError(f"task name {self.name!r} goes into paths; use letters, digits and any of _ . -")
+        numbers("version", (self.version,), 1, 10**6)
+        numbers("horizon", self.horizon, 1, PUSHES)
+        numbers(f"{scale}.trajectories", chosen.trajectories, 1, most)
+        numbers(f"{scale}.support", (chosen.support,), 0, most)
+        numbers(f"{scale}.query", (chosen.query,), 1, most)
+        numbers(f"{scale}.support + query", (chosen.support + chosen.query,), 1, most)
+        numbers(f"{scale}.K", chosen.K, 0, chosen.support)
+        for part in ("test", "valid"):
+            share = getattr(self.split, part)
+            if not isinstance(share, float) or not 0 < share < 1:
+                raise UsageError(f"task {self.name!r}: split.{part} = {share!r} is not a share between 0 and 1")
+        if not self.domains(scale):
+            raise UsageError(f"task {self.name!r}: no domain of {self.set}/{scale} has {dict(self.where)}")
 
     def scale(self, name: ScaleName) -> Scale:
         """Returns what the task uses at a scale."""

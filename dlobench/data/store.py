@@ -28,7 +28,7 @@ COLUMNS = {"pusher": 2, "dlo": MAX_SEGMENTS * 3, "bodies": MAX_BODIES * 3, "comm
 WIDTH = sum(COLUMNS.values())
 BYTES_A_PUSH = 4 * WIDTH * (PUSHES + 1) / PUSHES
 SCHEMA = 1
-_FIELDS = {"schema", "unit", "key", "domain", "sha256", "bytes", "account", "seconds", "versions", "cpu"}
+_FIELDS = {"schema", "unit", "key", "domain", "seed", "sha256", "bytes", "account", "seconds", "versions", "cpu"}
 
 Rows = NDArray[np.float32]
 
@@ -108,6 +108,7 @@ class Store:
         if (
             found["key"] != of.key
             or found["unit"] != asdict(unit)
+            or found["seed"] != of.seed(unit.domain, unit.first)
             or found["domain"] != of.domain(unit.domain).to_json()
         ):
             raise Broken(path, f"it was made for another set, domain or version than {of.key}")

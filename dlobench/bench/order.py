@@ -1,0 +1,89 @@
+"""Orders runs: what to run, checked before anything is generated or fitted."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from dlobench.bench.plugins import ModelPlugin, hyperparameters
+from dlobench.bench.task import Fit, Task
+from dlobench.data.sets import DomainSet, ScaleName, find
+from dlobench.errors import UsageError
+from dlobench.nn.budget import Budget
+
+
+@dataclass(frozen=True)
+class Order:
+    """Says what to run. Built by `order`, which checks it."""
+
+    task: Task
+    scale: ScaleName
+    plugin: ModelPlugin
+    fits: tuple[Fit, ...]
+    K: tuple[int, ...]
+    seed: int = 0
+    settings: Mapping[str, Any] = field(default_factory=dict)  # hyperparameters that differ from their defaults
+    budget: Budget = field(default_factory=Budget)
+    device: str = "cpu"
+
+    @property
+    def of(self) -> DomainSet:
+        """Returns the set that the task reads."""
+        return find(self.task.set)
+
+    @property
+    def domains(self) -> list[int]:
+        """Returns the domains that the run reads."""
+        return self.task.domains(self.scale)
+
+    @property
+    def trajectories(self) -> int:
+        """Returns how many trajectories of every domain the run reads."""
+        return self.task.trajectories(self.scale)
+
+
+def order(task: Task, scale: ScaleName, plugin: ModelPlugin, K: int | None, horizon: int | None, **rest: Any) -> Order:
+    """Checks and completes an order; raises `UsageError` naming the choices."""
+    task.check(scale)
+    recordable(hyperparameters(plugin.model) | dict(rest.get("settings", {})))
+    chosen = task.scale(scale)
+    if K is not None and not 0 <= K <= chosen.support:
+        raise UsageError(
+            f"--K {K} does not fit into the support pool of {chosen.support} trajectories of {task.name}/{scale}"
+        )
+    if horizon is not None and horizon not in task.horizon:
+        raise UsageError(f"--horizon {horizon} is not one of {task.name}: {', '.join(map(str, task.horizon))}")
+    fits = tuple(fit for fit in task.fits(scale) if horizon in (None, fit.horizon))
+    return Order(task, scale, plugin, fits, chosen.K if K is None else (K,), **rest)
+
+
+def recordable(hyper: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns hyperparameters as a record can hold them; raises `UsageError` for a value that JSON has no word for."""
+    out = {name: str(value) if isinstance(value, Path) else value for name, value in hyper.items()}
+    for name, value in out.items():
+        try:
+            json.dumps(value, allow_nan=False).encode()
+        except (TypeError, ValueError, RecursionError) as error:
+            raise UsageError(
+                f"hyperparameter {name} = {value!r} cannot be recorded as JSON; give it a value"
+            ) from error
+    return out
+
+
+def resolve_device(device: str, threads: int = 1) -> str:
+    """Returns "cpu" or "cuda" and sets torch's threads.
+
+    Raises `UsageError` for another name or a CUDA device that is not there.
+    """
+    import torch
+
+    torch.set_num_threads(threads)  # idle threads spin, which costs a shared machine a multiple of the time
+
+    if device not in ("auto", "cpu", "cuda"):
+        raise UsageError(f"unknown device {device!r}; there are: auto, cpu, cuda")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise UsageError("--device cuda: there is no CUDA device here; cpu and auto are to be had")
+    return "cuda" if device != "cpu" and torch.cuda.is_available() else "cpu"
