@@ -93,8 +93,8 @@ def build(domain: Domain, style: Style, *, cylinder: bool) -> mujoco.MjModel:
     out = mujoco.MjSpec()
     out.stat.extent = 1.0  # so that what MuJoCo measures in extents is in metres
     out.visual.map.znear, out.visual.map.zfar = NEAR, FAR
-    out.visual.map.shadowclip = WORKSPACE  # no shadow is sought beyond
-    out.visual.quality.shadowsize = 2048  # a texel of the shadows is a quarter of a millimetre
+    out.visual.map.shadowclip = 2 * WORKSPACE  # closer, and what is lit would be speckled with shadows of its own
+    out.visual.quality.shadowsize = 4096  # texels over twice that: a quarter of a millimetre each
     out.visual.global_.offwidth = max(style.camera.top.width, style.camera.oblique.width)
     out.visual.global_.offheight = max(style.camera.top.height, style.camera.oblique.height)
     for name, surface in style:

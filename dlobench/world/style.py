@@ -6,12 +6,13 @@
 from __future__ import annotations
 
 import math
+import re
 import tomllib
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from dlobench.errors import UsageError
 
@@ -19,7 +20,14 @@ FOLDER = Path(__file__).with_name("styles")
 DEFAULT = "paper"
 BUILTIN = ("flat", "checker", "gradient")
 
-Colour = Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$")]  # "#rrggbb", as on the screen
+
+def _check_colour(text: str) -> str:
+    if not re.fullmatch("#[0-9a-fA-F]{6}", text):
+        raise ValueError('a colour is red, green and blue in hexadecimal, such as "#d55e00"')
+    return text
+
+
+Colour = Annotated[str, AfterValidator(_check_colour)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Place = tuple[float, float, float]  # x m, y m, z m
 Pixels = Annotated[int, Field(ge=16, le=4096, multiple_of=2)]  # films come in even sizes
@@ -167,4 +175,4 @@ def _sentence(error: ValidationError) -> str:
             table = table[key]
         return f"there is no field {where}; there are: {', '.join(table)}"
     value = "" if isinstance(first["input"], dict | BaseModel) else f" = {first['input']!r}"
-    return f"{where}{value}: {first['msg']}"
+    return f"{where}{value}: {first['msg'].removeprefix('Value error, ')}"
