@@ -157,7 +157,8 @@ class _Boxes:
         """Returns the (N, 4, 2) corners, m."""
         along, across = np.moveaxis(self.half[:, :, None] * self.axes, 1, 0)[:, :, None]
         signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
-        return self.centre[:, None] + signs[:, :1] * along + signs[:, 1:] * across
+        corners: Array = self.centre[:, None] + signs[:, :1] * along + signs[:, 1:] * across
+        return corners
 
     def overlap(self) -> bool:
         """Tells whether boxes of two bodies come closer than the gap, by separating axes."""
