@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import reprlib
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -40,6 +41,13 @@ def whole(field: str, value: object, low: int, high: float = math.inf) -> int:
     if not low <= value <= high:
         raise UsageError(f"{field} = {shown(value)} is outside {span}")
     return int(value)
+
+
+def seed(value: object) -> list[int]:
+    """Returns a seed as whole numbers, of which it may hold one or several; raises `UsageError` for anything else."""
+    if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str):
+        return [whole("seed", each, 0) for each in value]
+    return [whole("seed", value, 0)]
 
 
 def choice(field: str, value: object, choices: tuple[str, ...]) -> None:

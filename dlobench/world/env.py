@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from dm_control.rl import control
 from dm_env import StepType, TimeStep
 
@@ -49,10 +48,8 @@ def make(domain: Domain, seed: int | Sequence[int] = 0, noise: bool = True, goal
     if not isinstance(domain, Domain):
         by_id = "an id such as meta-learning/17 gives one by dlobench.data.sets.domain"
         raise UsageError(f"domain = {ranges.shown(domain)} is not a Domain; {by_id}")
-    numbers = list(seed) if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str) else [seed]
-    whole = [ranges.whole("seed", number, 0) for number in numbers]
     physics = Physics(domain)
-    task = Shaping(whole, noise) if goal else Pushing(whole, noise)
+    task = (Shaping if goal else Pushing)(ranges.seed(seed), noise)
     steps = round(PUSH_TIME / physics.timestep())
     length = (PUSHES - 0.5) * steps * physics.timestep()  # half a push less, so that no rounding adds one
     return Environment(physics, task, time_limit=length, n_sub_steps=steps)

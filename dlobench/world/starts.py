@@ -13,8 +13,9 @@ from functools import cache, cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from dlobench import ranges
 from dlobench.domain import DLO_RADIUS, SEGMENT_LENGTH, WORKSPACE, Domain, Material, RigidBody
-from dlobench.errors import RunError
+from dlobench.errors import RunError, UsageError
 from dlobench.world.chain import APART, CYLINDER_RADIUS
 from dlobench.world.scene import PUSHER_RADIUS, REACH
 
@@ -44,6 +45,18 @@ def sample(domain: Domain, rng: np.random.Generator) -> Start:
         if possible(domain, start):
             return start
     raise RunError(f"no possible start in {ATTEMPTS} draws for {domain}")
+
+
+def check(domain: Domain, start: Start) -> None:
+    """Raises `UsageError` unless a start has the sizes of a domain, and numbers only."""
+    bends, bodies = domain.segments, len(domain.bodies)
+    for name, shape in {"root": (3,), "bends": (bends,), "bodies": (bodies, 3), "pusher": (2,)}.items():
+        value = getattr(start, name)
+        if np.shape(value) != shape:
+            found, needed = np.shape(value), f"{bends} segments and {bodies} rigid bodies needs {shape}"
+            raise UsageError(f"{name} of a start has shape {found}, a domain of {needed}")
+        if not np.isfinite(value).all():
+            raise UsageError(f"{name} of a start = {ranges.shown(value)} is not finite")
 
 
 def chain(domain: Domain, start: Start) -> Array:
