@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 FLOORS = {
-    "errors": 1, "domain": 1, "trajectories": 1, "machine": 1,
+    "errors": 1, "ranges": 1, "domain": 1, "trajectories": 1, "machine": 1,
     "world": 2, "nn": 2,
     "data": 3, "validation": 3,
     "bench": 4,
