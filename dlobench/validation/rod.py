@@ -52,10 +52,9 @@ class Rod:
         self.stiffness = domain.bending_stiffness  # EI, N m²
         self.mass = domain.density * math.pi * DLO_RADIUS**2  # kg/m
         hinges = np.arange(0 if domain.attachment != "none" else 1, domain.segments)
-        self.span: Array = np.where(
-            hinges == 0, SEGMENT_LENGTH / 2, SEGMENT_LENGTH
-        )  # (hinges,) m of DLO that each bends for
-        self.arc: Array = hinges.astype(np.float64) * SEGMENT_LENGTH  # (hinges,) m from the first end
+        # (hinges,) m: how much of the DLO each hinge bends for, and how far it is from the first end
+        self.span: Array = SEGMENT_LENGTH * np.where(hinges == 0, 0.5, 1.0)
+        self.arc: Array = SEGMENT_LENGTH * hinges.astype(np.float64)
         spec = scene.spec(domain, timestep)
         spec.option.gravity = [0, 0, 0]
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
