@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 Edit = Callable[[mujoco.MjSpec], None]
 
 CYLINDER_MASS = CYLINDER_DENSITY * math.pi * CYLINDER_RADIUS**2 * CYLINDER_HEIGHT  # kg
+IMMOVABLE = 1e4  # kg or kg m²
 
 
 def segment_mass(domain: Domain) -> float:
@@ -143,3 +144,8 @@ class Rig:
             part = np.array([*(share * force), 0.0])
             arm = np.array([*spot, 0.0]) - self.data.xipos[body]
             self.data.xfrc_applied[body] += [*part, *(np.cross(arm, part) + [0, 0, share * moment])]
+
+    def freeze(self, dofs: NDArray[np.intp]) -> None:
+        """Makes degrees of freedom so heavy that nothing here moves them."""
+        self.model.dof_armature[dofs] = IMMOVABLE
+        mujoco.mj_setConst(self.model, mujoco.MjData(self.model))  # contacts are scaled by what they move
