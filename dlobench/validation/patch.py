@@ -53,7 +53,9 @@ class Patch:
         total = np.array([fx.sum(), fy.sum(), (x * fy - y * fx).sum()]) + load
         return total / np.array([self.mass, self.mass, self.inertia])
 
-    def slide(self, yaw: float, motion: Array, shove: Array | None = None, duration: float = 0.0) -> tuple[Array, float]:
+    def slide(
+        self, yaw: float, motion: Array, shove: Array | None = None, duration: float = 0.0
+    ) -> tuple[Array, float]:
         """Returns how far the centre of mass goes, (2,) m, and how far the body turns, rad, until it rests.
 
         It starts with `motion` (vx m/s, vy m/s, spin rad/s). A shove (fx N, fy N, moment N m) strong enough to move it

@@ -23,7 +23,6 @@ Array = NDArray[np.float64]
 Edit = Callable[[mujoco.MjSpec], None]
 
 CYLINDER_MASS = CYLINDER_DENSITY * math.pi * CYLINDER_RADIUS**2 * CYLINDER_HEIGHT  # kg
-IMMOVABLE = 1e4  # kg or kg m²
 
 
 def segment_mass(domain: Domain) -> float:
@@ -88,10 +87,12 @@ class Rig:
         mujoco.mj_kinematics(self.model, self.data)
 
     def dofs(self, thing: str) -> NDArray[np.intp]:
-        """Returns the thing's degrees of freedom x, y and yaw: (3,)."""
-        qpos = self.layout.root_qpos if thing == "dlo" else self.layout.body_qpos[int(thing[4:])]
-        found = [self.model.jnt_dofadr[self.model.jnt_qposadr == q][0] for q in qpos]
-        return np.array(found, dtype=np.intp)
+        """Returns a thing's degrees of freedom: (3,) x, y and yaw; (2,) of "pusher"; those of the "hinges"."""
+        layout = self.layout
+        named = {"dlo": layout.root_qpos, "hinges": layout.joint_qpos, "pusher": layout.pusher_qpos}
+        qpos = named[thing] if thing in named else layout.body_qpos[int(thing[4:])]
+        joints = [np.flatnonzero(self.model.jnt_qposadr == q)[0] for q in qpos]
+        return self.model.jnt_dofadr[joints].astype(np.intp)
 
     def parts(self, thing: str) -> tuple[NDArray[np.intp], Array, Array]:
         """Returns body ids (n,), masses (n,) kg and centres (n, 2) m of what the thing is made of."""
@@ -123,9 +124,9 @@ class Rig:
         [joint] = np.flatnonzero(self.model.jnt_dofadr == which)
         return float(self.data.qpos[self.model.jnt_qposadr[joint]])
 
-    def speed(self, thing: str) -> float:
-        """Returns the speed of the thing's frame, m/s."""
-        return float(np.linalg.norm(self.data.qvel[self.dofs(thing)[:2]]))
+    def velocity(self, thing: str) -> Array:
+        """Returns the velocity of the thing's frame: (2,) m/s, which is that of all its parts unless it turns."""
+        return self.data.qvel[self.dofs(thing)[:2]].copy()
 
     def launch(self, thing: str, velocity: Array, spin: float = 0.0) -> None:
         """Gives the thing's centre of mass a (2,) m/s velocity, and the thing a spin, rad/s."""
@@ -144,8 +145,3 @@ class Rig:
             part = np.array([*(share * force), 0.0])
             arm = np.array([*spot, 0.0]) - self.data.xipos[body]
             self.data.xfrc_applied[body] += [*part, *(np.cross(arm, part) + [0, 0, share * moment])]
-
-    def freeze(self, dofs: NDArray[np.intp]) -> None:
-        """Makes degrees of freedom so heavy that nothing here moves them."""
-        self.model.dof_armature[dofs] = IMMOVABLE
-        mujoco.mj_setConst(self.model, mujoco.MjData(self.model))  # contacts are scaled by what they move

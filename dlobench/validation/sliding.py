@@ -1,67 +1,83 @@
-"""Checks how things slide: stopping distances, the load at which they slip, and creep below it."""
+"""Checks how a straight rod and a body slide to rest: the stopping distance v²/2μg.
+
+A step of the world sets velocities first and moves by them, so that velocities stand half a step before positions. A
+thing that has the speed v when it is at its start therefore gets v + μ g h / 2 there; if it gets v itself, it stops
+v h / 2 short, whatever the friction. Rows for both are given. The third kind of row needs no such convention: a load of twice
+the friction drives the thing from rest for a whole number of steps, so that it gains and loses speed alike.
+"""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dlobench.domain import Domain, RigidBody
+from dlobench.validation.check import Effort, Row, relative, worst
 from dlobench.validation.rig import Edit, Rig
 from dlobench.world import scene
 from dlobench.world.starts import Start
-from dlobench.world.state import PUSH_TIME
 
 Array = NDArray[np.float64]
 
 G = scene.GRAVITY
+FINE = 0.001  # s
+FASTEST = 0.3  # m/s
 KINDS = ("rod sideways", "rod lengthways", "body")
-
-
-def domain_of(kind: str, friction: float) -> Domain:
-    """Returns the domain of a straight rod, or of a body beside it, with one coefficient on the table."""
-    bodies = (RigidBody("L3", (3000.0,) * 3, friction),) if kind == "body" else ()
-    return Domain(friction, 0.16, 1000.0, "flexible", 1.5e-4, None, "none", bodies)
-
-
-def start_of(kind: str, yaw: float = 0.0) -> Start:
-    """Lays the rod along x and, turned by yaw, a body apart from it; the pusher is out of the way."""
-    bodies = np.array([[-0.05, 0.03, yaw]]) if kind == "body" else np.zeros((0, 3))
-    return Start(np.array([-0.12, -0.08, 0.0]), np.zeros(32), bodies, np.array([0.1, 0.1]))
+SPEEDS: dict[Effort, tuple[float, ...]] = {
+    "quick": (0.1, FASTEST),
+    "normal": (0.1, 0.2, FASTEST),
+    "full": (0.1, 0.15, 0.2, 0.25, FASTEST),
+}
+FRICTIONS: dict[Effort, tuple[float, ...]] = {
+    "quick": (0.2, 0.8),
+    "normal": (0.2, 0.5, 0.8),
+    "full": (0.2, 0.35, 0.5, 0.65, 0.8),
+}
 
 
 def rig_of(
     kind: str, friction: float, *, timestep: float = scene.TIMESTEP, sleep: bool = True, edit: Edit | None = None
 ) -> tuple[Rig, str, Array]:
     """Returns a settled rig, the thing that is to slide and the (2,) direction to slide in."""
-    rig = Rig(domain_of(kind, friction), start_of(kind), timestep=timestep, sleep=sleep, edit=edit)
-    thing = "body0" if kind == "body" else "dlo"
-    return rig, thing, np.array([0.0, 1.0] if kind == "rod sideways" else [1.0, 0.0])
+    bodies = (RigidBody("L3", (3000.0,) * 3, friction),) if kind == "body" else ()
+    domain = Domain(friction, 0.16, 1000.0, "flexible", 1.5e-4, None, "none", bodies)
+    places = np.array([[-0.05, 0.03, 0.0]])[: len(bodies)]
+    begin = Start(np.array([-0.12, -0.08, 0.0]), np.zeros(domain.segments), places, np.array([0.1, 0.1]))
+    rig = Rig(domain, begin, timestep=timestep, sleep=sleep, edit=edit)
+    along = np.array([0.0, 1.0] if kind == "rod sideways" else [1.0, 0.0])
+    return rig, "body0" if bodies else "dlo", along
 
 
-def stopping(
-    kind: str, friction: float, speed: float, *, timestep: float = scene.TIMESTEP, edit: Edit | None = None
+def launched(
+    kind: str,
+    friction: float,
+    speed: float,
+    *,
+    plain: bool = False,
+    timestep: float = scene.TIMESTEP,
+    edit: Edit | None = None,
 ) -> float:
-    """Returns how far a thing goes, m, whose velocity is set to `speed` m/s."""
+    """Returns how far a thing goes, m, that has `speed` m/s at its start; `plain` sets just that as its velocity."""
     rig, thing, along = rig_of(kind, friction, timestep=timestep, edit=edit)
     before = rig.centre(thing)
-    rig.launch(thing, speed * along)
+    rig.launch(thing, (speed if plain else speed + friction * G * timestep / 2) * along)
     rig.run(1.5 * speed / (friction * G) + 0.1)
     return float((rig.centre(thing) - before) @ along)
 
 
-def shoved(
+def driven(
     kind: str, friction: float, speed: float, *, timestep: float = scene.TIMESTEP, edit: Edit | None = None
 ) -> tuple[float, float]:
-    """Returns how far a thing goes, m, that twice its friction drove from rest to about `speed` m/s, and the reference.
+    """Returns how far a thing goes, m, that is driven from rest to about `speed` m/s and let go; and the closed form.
 
-    It gains speed as fast as it then loses it, over a whole number of steps.
+    The load is twice the friction for T s, so that it goes μ g T²: half of it driven, half by itself.
     """
     rig, thing, along = rig_of(kind, friction, timestep=timestep, edit=edit)
     before = rig.centre(thing)
-    steps = max(1, round(speed / (friction * G) / timestep))
-    duration = steps * timestep
+    duration = max(1, round(speed / (friction * G) / timestep)) * timestep
     rig.load(thing, 2 * friction * rig.mass(thing) * G * along)
     rig.run(duration)
     rig.load(thing, np.zeros(2))
@@ -69,71 +85,34 @@ def shoved(
     return float((rig.centre(thing) - before) @ along), friction * G * duration**2
 
 
-SLIPPED = 0.002  # m; creep is far slower
-PATIENCE = 1.0  # s; 1.002 times the threshold takes friction 0.2 so far
-
-
-def slips(rig: Rig, thing: str, force: Array) -> bool:
-    """Tells whether a steady load makes the thing slip: how far it goes tells that apart from creep."""
-    before = rig.centre(thing)
-    rig.load(thing, force)
-    for _ in range(10):
-        rig.run(PATIENCE / 10)
-        if np.linalg.norm(rig.centre(thing) - before) > SLIPPED:
-            return True
-    return False
-
-
-def threshold(
-    kind: str,
-    friction: float,
-    *,
-    timestep: float = scene.TIMESTEP,
-    sleep: bool = True,
-    edit: Edit | None = None,
-    rounds: int = 7,
-) -> float:
-    """Returns the least steady load, as a share of the thing's weight, that makes it slip: by halving 0.8 to 1.2 μ."""
-    low, high = 0.8 * friction, 1.2 * friction
-    for _ in range(rounds):
-        middle = (low + high) / 2
-        rig, thing, along = rig_of(kind, friction, timestep=timestep, sleep=sleep, edit=edit)
-        if slips(rig, thing, middle * rig.mass(thing) * G * along):
-            high = middle
-        else:
-            low = middle
-    return (low + high) / 2
-
-
-def creep(
-    kind: str,
-    friction: float,
-    *,
-    timestep: float = scene.TIMESTEP,
-    sleep: bool = True,
-    edit: Edit | None = None,
-    share: float = 0.8,
-) -> float:
-    """Returns how far a part of a thing at most moves, m, in the time of a push under a share of the slipping load."""
-    rig, thing, along = rig_of(kind, friction, timestep=timestep, sleep=sleep, edit=edit)
-    before = rig.parts(thing)[2].copy()
-    rig.load(thing, share * friction * rig.mass(thing) * G * along)
-    rig.run(PUSH_TIME)
-    return float(np.linalg.norm(rig.parts(thing)[2] - before, axis=-1).max())
-
-
-def print_all(timestep: float = scene.TIMESTEP, edit: Edit | None = None) -> None:
-    """Prints everything that is measured here."""
+def check_sliding(effort: Effort, edit: Edit | None = None) -> Iterator[Row]:
+    """Yields stopping distances of a rod, sideways and lengthways, and of a body."""
     for kind in KINDS:
-        for friction in (0.2, 0.5, 0.8):
-            for speed in (0.1, 0.2, 0.3):
-                exact = speed**2 / (2 * friction * G)
-                far = stopping(kind, friction, speed, timestep=timestep, edit=edit)
-                shove, wanted = shoved(kind, friction, speed, timestep=timestep, edit=edit)
-                print(
-                    f"{kind} μ {friction} v {speed}: launched {100 * (far / exact - 1):+.2f} %, with v h/2 "
-                    f"{100 * ((far + speed * timestep / 2) / exact - 1):+.2f} %, shoved {100 * (shove / wanted - 1):+.2f} %"
-                )
-            load = threshold(kind, friction, timestep=timestep, edit=edit)
-            crept = [1e3 * creep(kind, friction, timestep=timestep, edit=edit, sleep=sleep) for sleep in (True, False)]
-            print(f"{kind} μ {friction}: threshold {100 * (load / friction - 1):+.2f} %, creep {crept} mm")
+        for timestep, plain in product((FINE, scene.TIMESTEP), (False, True)):
+            bound = 2.0 if timestep == FINE and not plain else None
+            yield _launched(kind, effort, timestep, plain, bound, edit)
+        for speed in SPEEDS[effort]:
+            yield _driven(kind, effort, speed, 2.0 if speed == FASTEST else None, edit)
+
+
+def _launched(kind: str, effort: Effort, timestep: float, plain: bool, bound: float | None, edit: Edit | None) -> Row:
+    rows = []
+    for friction, speed in product(FRICTIONS[effort], SPEEDS[effort]):
+        far = launched(kind, friction, speed, plain=plain, timestep=timestep, edit=edit)
+        note = f"{100 * friction * G * timestep / speed:.1f} % of it is v h/2" if plain else ""
+        rows.append(relative(f"μ {friction:g}, {speed:g} m/s", far, speed**2 / (2 * friction * G), bound, "m", note))
+    start = "its velocity set to v" if plain else "launched"
+    return worst(f"stopping distance, {kind}, {start}, {step_name(timestep)}", rows)
+
+
+def _driven(kind: str, effort: Effort, speed: float, bound: float | None, edit: Edit | None) -> Row:
+    rows = []
+    for friction in FRICTIONS[effort]:
+        far, exact = driven(kind, friction, speed, edit=edit)
+        rows.append(relative(f"μ {friction:g}", far, exact, bound, "m"))
+    return worst(f"distance, {kind}, driven from rest to {speed:g} m/s and let go, {step_name(scene.TIMESTEP)}", rows)
+
+
+def step_name(timestep: float) -> str:
+    """Names a time step, s."""
+    return "shipped step" if timestep == scene.TIMESTEP else f"{1e3 * timestep:g} ms step"

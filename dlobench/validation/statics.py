@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dlobench.domain import Attachment, Domain, RigidBody
-from dlobench.validation.check import Effort, Row
+from dlobench.validation.check import Effort, Row, relative, worst
 from dlobench.validation.forces import touch
-from dlobench.validation.rig import CYLINDER_MASS, Edit, Rig
+from dlobench.validation.rig import CYLINDER_MASS, Edit, Rig, segment_mass
 from dlobench.world.chain import CYLINDER_RADIUS
 from dlobench.world.scene import GRAVITY
 from dlobench.world.starts import Start
@@ -41,3 +41,41 @@ def weighed(rig: Rig, thing: str) -> tuple[float, Array]:
     found = touch(rig, thing, "table")
     force = float(found.presses.sum())
     return force, found.presses @ found.spots / force
+
+
+def expected(rig: Rig, thing: str) -> tuple[float, Array, Array]:
+    """Returns a thing's weight, N, the (2,) m point where it acts, and a (2,) m point to take moments about.
+
+    That is a body's centroid, which unequal boxes weigh about; the DLO's first end; a cylinder's rim.
+    """
+    if thing == "cylinder":
+        axis = rig.data.xpos[rig.layout.cylinder, :2]
+        return CYLINDER_MASS * GRAVITY, axis, axis - CYLINDER_RADIUS * np.array([0.6, 0.8])
+    if thing == "dlo":
+        places = rig.data.xpos[rig.layout.segments, :2]
+        return len(places) * segment_mass(rig.domain) * GRAVITY, places.mean(axis=0), places[0]
+    return rig.mass(thing) * GRAVITY, rig.centre(thing), rig.data.xpos[rig.layout.bodies[int(thing[4:])], :2]
+
+
+def check_weight(effort: Effort, edit: Edit | None = None) -> Iterator[Row]:
+    """Yields for every thing at rest what presses on the table, and its moments, against its weight."""
+    attachments: tuple[Attachment, ...] = ("movable",) if effort == "quick" else ("none", "movable", "fixed")
+    rigs = {attachment: rig_of(attachment, edit=edit) for attachment in attachments}
+    for thing in ("dlo", "cylinder", *(f"body{i}" for i in range(len(BODIES)))):
+        forces, moments = [], []
+        for attachment, rig in rigs.items():
+            if thing == "cylinder" and attachment != "movable":
+                continue
+            pressed, point = weighed(rig, thing)
+            weight, centre, about = expected(rig, thing)
+            forces.append(relative(f"attachment {attachment}", pressed, weight, 1.0, "N"))
+            moment, reference = pressed * (point - about), weight * (centre - about)
+            size = float(np.linalg.norm(reference))
+            error = 100 * float(np.linalg.norm(moment - reference)) / size
+            measured = float(np.linalg.norm(moment))
+            moments.append(
+                Row(f"attachment {attachment}", measured, size, error, 1.0, "N m", "%", "error of the vector")
+            )
+        what = f"{thing} ({BODIES[int(thing[4:])].shape})" if thing.startswith("body") else thing
+        yield worst(f"force on the table at rest, {what}", forces)
+        yield worst(f"both moments at rest, {what}", moments)
