@@ -1,13 +1,13 @@
-"""Measures the friction of every pair of things that can touch: presses one on the other with a known force and draws it along.
+"""Checks the friction of every pair of things that can touch: presses one on the other and draws it along.
 
-One of the two is held, and neither turns; what slides is slowed by a little damping, so that it soon goes steadily.
+All but what is drawn stands in tough honey, and that itself in thinner, so that it soon goes steadily. Friction is held
+against what presses as the contacts have it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -118,7 +118,7 @@ def curled(b: str, *, edit: Edit | None = None) -> Rig:
 
 
 def coefficient(a: str, b: str, *, edit: Edit | None = None) -> tuple[float, float, float]:
-    """Returns the friction coefficient of a pair, the force that presses it together, N, and the documented coefficient."""
+    """Returns the friction coefficient of a pair, the mean force between the two, N, and the documented coefficient."""
     around = (a, b) in CURLED
     rig = curled(b, edit=edit) if around else rig_of(a, b, edit=edit)
     wanted = documented(rig.domain, a, b)

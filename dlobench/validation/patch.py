@@ -51,7 +51,8 @@ class Patch:
         per_speed = -self.rubs / np.maximum(np.hypot(vx, vy), 1e-300)
         fx, fy = per_speed * vx, per_speed * vy
         total = np.array([fx.sum(), fy.sum(), (x * fy - y * fx).sum()]) + load
-        return total / np.array([self.mass, self.mass, self.inertia])
+        change: Array = total / np.array([self.mass, self.mass, self.inertia])
+        return change
 
     def slide(
         self, yaw: float, motion: Array, shove: Array | None = None, duration: float = 0.0

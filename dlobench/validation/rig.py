@@ -36,7 +36,10 @@ def box_masses(body: RigidBody) -> Array:
 
 
 class Rig:
-    """Steps one domain's scene. A thing is "dlo" (with its movable cylinder, if it has one) or "body0", "body1" …"""
+    """Steps one domain's scene.
+
+    A thing is "dlo", with its movable cylinder if it has one, or "body0", "body1" …
+    """
 
     def __init__(
         self,
@@ -92,15 +95,14 @@ class Rig:
         named = {"dlo": layout.root_qpos, "hinges": layout.joint_qpos, "pusher": layout.pusher_qpos}
         qpos = named[thing] if thing in named else layout.body_qpos[int(thing[4:])]
         joints = [np.flatnonzero(self.model.jnt_qposadr == q)[0] for q in qpos]
-        return self.model.jnt_dofadr[joints].astype(np.intp)
+        return np.asarray(self.model.jnt_dofadr[joints], dtype=np.intp)
 
     def parts(self, thing: str) -> tuple[NDArray[np.intp], Array, Array]:
         """Returns body ids (n,), masses (n,) kg and centres (n, 2) m of what the thing is made of."""
         xpos = self.data.xpos
         if thing == "dlo":
             ids, masses = self.layout.segments, np.full(self.domain.segments, segment_mass(self.domain))
-            if self.domain.attachment == "movable":
-                assert self.layout.cylinder is not None
+            if self.domain.attachment == "movable" and self.layout.cylinder is not None:
                 ids, masses = np.append(ids, self.layout.cylinder), np.append(masses, CYLINDER_MASS)
             return ids, masses, xpos[ids, :2]
         which = int(thing[4:])
@@ -126,7 +128,7 @@ class Rig:
 
     def velocity(self, thing: str) -> Array:
         """Returns the velocity of the thing's frame: (2,) m/s, which is that of all its parts unless it turns."""
-        return self.data.qvel[self.dofs(thing)[:2]].copy()
+        return np.array(self.data.qvel[self.dofs(thing)[:2]])
 
     def launch(self, thing: str, velocity: Array, spin: float = 0.0) -> None:
         """Gives the thing's centre of mass a (2,) m/s velocity, and the thing a spin, rad/s."""
@@ -144,4 +146,5 @@ class Rig:
         for body, share, spot in zip(ids, masses / masses.sum(), places, strict=True):
             part = np.array([*(share * force), 0.0])
             arm = np.array([*spot, 0.0]) - self.data.xipos[body]
-            self.data.xfrc_applied[body] += [*part, *(np.cross(arm, part) + [0, 0, share * moment])]
+            turning = np.cross(arm, part)
+            self.data.xfrc_applied[body] += [*part, turning[0], turning[1], turning[2] + share * moment]

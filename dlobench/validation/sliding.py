@@ -1,9 +1,10 @@
 """Checks how a straight rod and a body slide to rest: the stopping distance v²/2μg.
 
-A step of the world sets velocities first and moves by them, so that velocities stand half a step before positions. A
-thing that has the speed v when it is at its start therefore gets v + μ g h / 2 there; if it gets v itself, it stops
-v h / 2 short, whatever the friction. Rows for both are given. The third kind of row needs no such convention: a load of twice
-the friction drives the thing from rest for a whole number of steps, so that it gains and loses speed alike.
+A step of length h first sets the velocity and then moves by it, so that velocities stand half a step before positions.
+A thing that shall have the speed v when it is at its start is therefore launched with v + μ g h / 2. If its velocity is
+set to v it stops v h / 2 short, however right the friction is; that plain figure is given too. A third kind of row
+needs no such convention: a load of twice the friction drives the thing from rest for a whole number of steps, so that
+it gains and loses speed alike.
 """
 
 from __future__ import annotations
@@ -90,12 +91,15 @@ def check_sliding(effort: Effort, edit: Edit | None = None) -> Iterator[Row]:
     for kind in KINDS:
         for timestep, plain in product((FINE, scene.TIMESTEP), (False, True)):
             bound = 2.0 if timestep == FINE and not plain else None
-            yield _launched(kind, effort, timestep, plain, bound, edit)
-        for speed in SPEEDS[effort]:
-            yield _driven(kind, effort, speed, 2.0 if speed == FASTEST else None, edit)
+            yield _launched(kind, effort, timestep=timestep, plain=plain, bound=bound, edit=edit)
+        for timestep, speed in product((FINE, scene.TIMESTEP), SPEEDS[effort]):
+            bound = 2.0 if timestep == FINE or speed == FASTEST else None
+            yield _driven(kind, effort, speed, timestep=timestep, bound=bound, edit=edit)
 
 
-def _launched(kind: str, effort: Effort, timestep: float, plain: bool, bound: float | None, edit: Edit | None) -> Row:
+def _launched(
+    kind: str, effort: Effort, *, timestep: float, plain: bool, bound: float | None, edit: Edit | None
+) -> Row:
     rows = []
     for friction, speed in product(FRICTIONS[effort], SPEEDS[effort]):
         far = launched(kind, friction, speed, plain=plain, timestep=timestep, edit=edit)
@@ -105,12 +109,12 @@ def _launched(kind: str, effort: Effort, timestep: float, plain: bool, bound: fl
     return worst(f"stopping distance, {kind}, {start}, {step_name(timestep)}", rows)
 
 
-def _driven(kind: str, effort: Effort, speed: float, bound: float | None, edit: Edit | None) -> Row:
+def _driven(kind: str, effort: Effort, speed: float, *, timestep: float, bound: float | None, edit: Edit | None) -> Row:
     rows = []
     for friction in FRICTIONS[effort]:
-        far, exact = driven(kind, friction, speed, edit=edit)
+        far, exact = driven(kind, friction, speed, timestep=timestep, edit=edit)
         rows.append(relative(f"μ {friction:g}", far, exact, bound, "m"))
-    return worst(f"distance, {kind}, driven from rest to {speed:g} m/s and let go, {step_name(scene.TIMESTEP)}", rows)
+    return worst(f"distance, {kind}, driven from rest to {speed:g} m/s and let go, {step_name(timestep)}", rows)
 
 
 def step_name(timestep: float) -> str:

@@ -13,15 +13,16 @@ from dlobench.domain import Domain, RigidBody, sample_body
 from dlobench.validation.check import Effort, Row, worst
 from dlobench.validation.patch import Patch
 from dlobench.validation.rig import Edit, Rig, box_masses
-from dlobench.validation.sliding import FINE, step_name
+from dlobench.validation.sliding import step_name
 from dlobench.world import scene
 from dlobench.world.starts import Start
 
 Array = NDArray[np.float64]
 
 G = scene.GRAVITY
+FINE = 0.0005  # s
 YAW = 0.5  # rad, at the start
-SHOVE = 1.8  # times the weight's friction; and as much about the vertical, times the body's radius of gyration
+SHOVE, TWIST = 1.8, 0.6  # times friction; a twist also times the radius of gyration
 SHOVE_SPEED = 0.3  # m/s, about what a shove leads to
 
 
@@ -111,8 +112,8 @@ def driven(
     """Returns the same for a body shoved and twisted from rest for a whole number of steps; and the quadrature."""
     patch = case.patch()
     friction = case.body.friction * patch.mass * G
-    twist = math.copysign(math.sqrt(patch.inertia / patch.mass), case.spin)
-    shove = SHOVE * friction * np.array([math.cos(case.heading), math.sin(case.heading), twist])
+    twist = math.copysign(TWIST * math.sqrt(patch.inertia / patch.mass), case.spin)
+    shove = friction * np.array([SHOVE * math.cos(case.heading), SHOVE * math.sin(case.heading), twist])
     duration = max(1, round(SHOVE_SPEED / (case.body.friction * G) / timestep)) * timestep
     rig = rig_of(case, timestep=timestep, edit=edit)
     before, yaw = rig.centre("body0"), rig.yaw("body0")
@@ -126,13 +127,13 @@ def check_spinning(effort: Effort, edit: Edit | None = None) -> Iterator[Row]:
     """Yields for launched and for driven bodies how far they slide and turn until they rest."""
     chosen = cases(effort)
     exact = [case.patch().slide(YAW, case.velocity()) for case in chosen]
-    for timestep, plain in ((FINE, False), (FINE, True), (scene.TIMESTEP, False), (scene.TIMESTEP, True)):
-        found = [launched(case, plain=plain, timestep=timestep, edit=edit) for case in chosen]
-        start = "their velocity set as it is" if plain else "launched"
-        bound = 3.0 if timestep == FINE and not plain else None
-        yield from _rows(f"{start}, {step_name(timestep)}", chosen, found, exact, bound)
-    both = [driven(case, edit=edit) for case in chosen]
-    yield from _rows(f"driven, {step_name(scene.TIMESTEP)}", chosen, [b[0] for b in both], [b[1] for b in both], 3.0)
+    for timestep in (FINE, scene.TIMESTEP):
+        for plain in (False, True):
+            found = [launched(case, plain=plain, timestep=timestep, edit=edit) for case in chosen]
+            how = f"{'their velocity set as it is' if plain else 'launched'}, {step_name(timestep)}"
+            yield from _rows(how, chosen, found, exact, 3.0 if timestep == FINE and not plain else None)
+        both = [driven(case, timestep=timestep, edit=edit) for case in chosen]
+        yield from _rows(f"driven, {step_name(timestep)}", chosen, [b[0] for b in both], [b[1] for b in both], 3.0)
 
 
 def _rows(
