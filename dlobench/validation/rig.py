@@ -17,7 +17,7 @@ from dlobench.domain import BOX_SIZE, DLO_RADIUS, SEGMENT_LENGTH, Domain, RigidB
 from dlobench.world import scene
 from dlobench.world.chain import CYLINDER_DENSITY, CYLINDER_HEIGHT, CYLINDER_RADIUS
 from dlobench.world.starts import Start
-from dlobench.world.state import PUSH_TIME, place
+from dlobench.world.state import PUSH_TIME, controls, place
 
 Array = NDArray[np.float64]
 Edit = Callable[[mujoco.MjSpec], None]
@@ -68,18 +68,14 @@ class Rig:
         for field in dataclasses.fields(placed):
             getattr(self.data, field.name)[:] = getattr(placed, field.name)
         mujoco.mj_kinematics(self.model, self.data)
-        self.hold_pusher()
+        pusher = self.data.qpos[None, self.layout.pusher_qpos]
+        self.data.ctrl[:] = controls(pusher, np.zeros((1, 2)), self.timestep)[0, 0]  # it stays where it is
         self.run(PUSH_TIME)
 
     @property
     def timestep(self) -> float:
         """Returns the length of a step, s."""
         return float(self.model.opt.timestep)
-
-    def hold_pusher(self) -> None:
-        """Tells the servos to stay where the pusher is: (x, vx, y, vy)."""
-        x, y = self.data.qpos[self.layout.pusher_qpos]
-        self.data.ctrl[:] = [x, 0, y, 0]
 
     def run(self, seconds: float, each: Callable[[], None] | None = None) -> None:
         """Steps for a while, to the nearest step; calls `each` before every step."""
