@@ -75,8 +75,9 @@ def outside(domain: Domain, poses: Poses) -> Mask:
     centres = [poses.dlo[..., :2], poses.pusher[:, None], _place(domain, poses.bodies).centre]
     if poses.cylinder is not None:
         centres.append(poses.cylinder[:, None])
-    inside: Mask = (np.abs(np.concatenate(centres, axis=1)) <= WORKSPACE / 2).all(axis=(1, 2))
-    return ~inside
+    beyond: Mask = ~(np.abs(np.concatenate(centres, axis=1)) <= WORKSPACE / 2)
+    out: Mask = beyond.any(axis=(1, 2))
+    return out
 
 
 def crossings(domain: Domain, poses: Poses) -> Array:
@@ -124,8 +125,8 @@ def _to_line(point: Array, a: Array, b: Array) -> Array:
 
 def _side(a: Array, b: Array, point: Array) -> Array:
     """Returns on which side of the line from a to b a point lies, by its sign."""
-    side: Array = (b[..., 0] - a[..., 0]) * (point[..., 1] - a[..., 1])
-    side = side - (b[..., 1] - a[..., 1]) * (point[..., 0] - a[..., 0])
+    (x, y), (along, across) = np.moveaxis(b - a, -1, 0), np.moveaxis(point - a, -1, 0)
+    side: Array = x * across - y * along
     return side
 
 
@@ -166,7 +167,8 @@ def _line_to_box(a: Array, b: Array, centre: Array, yaw: Array, half: Array) -> 
     zero = np.zeros(2)
     nearest = np.minimum(_point_to_box(a, zero, np.zeros(1), half), _point_to_box(b, zero, np.zeros(1), half))
     from_corners = _to_line(corners, a[..., None, :], b[..., None, :]).min(axis=-1)
-    return np.where(gap <= 0, gap, np.minimum(nearest, from_corners))
+    distance: Array = np.where(gap <= 0, gap, np.minimum(nearest, from_corners))
+    return distance
 
 
 def _box_overlap(corners: Array, boxes: _Boxes) -> Array:
@@ -178,4 +180,5 @@ def _box_overlap(corners: Array, boxes: _Boxes) -> Array:
             axis = np.stack([np.cos(boxes.yaw[:, k] + quarter), np.sin(boxes.yaw[:, k] + quarter)], axis=-1)
             p, q = (np.einsum("npcd,npd->npc", corners[:, side], axis) for side in (i, j))
             gaps.append(np.maximum(q.min(axis=-1) - p.max(axis=-1), p.min(axis=-1) - q.max(axis=-1)))
-    return -np.max(gaps, axis=0)
+    overlap: Array = -np.max(gaps, axis=0)
+    return overlap

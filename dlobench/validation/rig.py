@@ -75,7 +75,8 @@ class Rig(Simulator):
 
     def velocities(self) -> Array:
         """Returns MuJoCo's velocities of every simulation, (S, nv)."""
-        return self._batch.bind("qvel").copy()
+        moving: Array = self._batch.bind("qvel").copy()
+        return moving
 
     def poses(self, state: State) -> Poses:
         """Returns a state without its padding, with the cylinder."""
@@ -116,8 +117,8 @@ class Rig(Simulator):
         return max(speed[:5]), max(speed[5:])
 
     def _others(self) -> NDArray[np.intp]:
-        movable = self.layout.cylinder is not None and len(self.layout.root_qpos) > 0
-        return np.append(self.layout.bodies, self.layout.cylinder).astype(np.intp) if movable else self.layout.bodies
+        cylinder = [] if self.layout.cylinder is None else [self.layout.cylinder]
+        return np.append(self.layout.bodies, cylinder).astype(np.intp)
 
 
 @dataclass(frozen=True)
@@ -148,9 +149,7 @@ def walk(rig: Rig, seeds: Sequence[Sequence[int]], pushes: int) -> Iterator[Push
         displacement, drawn, redrawn, running = np.zeros((S, 2)), 0, 0, ~rig.failed
         for s in np.flatnonzero(running):
             dlo = state.dlo[s, : rig.domain.segments, :2]
-            command, again = actions.draw(
-                streams[s].action, state.pusher[s], dlo, None if fixed is None else fixed[s]
-            )
+            command, again = actions.draw(streams[s].action, state.pusher[s], dlo, None if fixed is None else fixed[s])
             displacement[s] = command + actions.noise(streams[s].noise)
             drawn, redrawn = drawn + 1, redrawn + again
         before = rig.rest()

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,7 +113,7 @@ def visit(piece: Piece) -> tuple[int, Found]:
         warned |= rig.warned()
     running = np.stack([push.running for push in made])
 
-    def kept(rows: Sequence[Array]) -> Array:
+    def kept(rows: Sequence[NDArray[Any]]) -> NDArray[Any]:
         return np.concatenate([row[here] for row, here in zip(rows, running, strict=True)])
 
     depths = [overlaps.depths(domain, push.poses) for push in made]
@@ -120,7 +121,7 @@ def visit(piece: Piece) -> tuple[int, Found]:
         domain=domain,
         depth={name: kept([depth[name] for depth in depths]) for name in depths[0]},
         crossings=kept([overlaps.crossings(domain, push.poses) for push in made]),
-        outside=kept([overlaps.outside(domain, push.poses) for push in made]).astype(bool),
+        outside=kept([overlaps.outside(domain, push.poses) for push in made]),
         speed=np.stack([dlo for dlo, _ in speeds[1:]])[running[1:]],
         speed_others=np.stack([others for _, others in speeds[1:]])[running[1:]],
         warned=warned,
