@@ -26,7 +26,7 @@ class Poses:
     dlo: Array  # (N, segments, 3)  segment centres x m, y m, yaw rad
     pusher: Array  # (N, 2)  x m, y m
     bodies: Array  # (N, bodies, 3)  x m, y m, yaw rad
-    cylinder: Array | None  # (N, 2)  x m, y m; None without one
+    cylinder: Array | None  # (N, 3)  x m, y m, yaw rad; None without one
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,8 @@ def depths(domain: Domain, poses: Poses) -> dict[str, Array]:
         "body-wall": np.abs(corners) - half,
         "body-pusher": PUSHER_RADIUS - _point_to_box(poses.pusher[:, None], boxes.centre, boxes.yaw, boxes.half),
     }
-    if (cylinder := poses.cylinder) is not None:
+    if poses.cylinder is not None:
+        cylinder = poses.cylinder[:, :2]
         far = slice(APART + 1, None)  # it holds the first segments
         between = np.linalg.norm(poses.pusher - cylinder, axis=-1)
         found |= {
@@ -74,10 +75,9 @@ def outside(domain: Domain, poses: Poses) -> Mask:
     """Tells in which states (N,) the centre of anything is beyond a wall, or is no number."""
     centres = [poses.dlo[..., :2], poses.pusher[:, None], _place(domain, poses.bodies).centre]
     if poses.cylinder is not None:
-        centres.append(poses.cylinder[:, None])
-    beyond: Mask = ~(np.abs(np.concatenate(centres, axis=1)) <= WORKSPACE / 2)
-    out: Mask = beyond.any(axis=(1, 2))
-    return out
+        centres.append(poses.cylinder[:, None, :2])
+    farthest: Array = np.abs(np.concatenate(centres, axis=1)).max(axis=(1, 2))  # what is no number comes through
+    return ~(farthest <= WORKSPACE / 2)
 
 
 def crossings(domain: Domain, poses: Poses) -> Array:
@@ -86,6 +86,16 @@ def crossings(domain: Domain, poses: Poses) -> Array:
     i, j = np.triu_indices(a.shape[1], k=2)
     crossed: Array = _cross(a[:, i], b[:, i], a[:, j], b[:, j]).sum(axis=1).astype(float)
     return crossed
+
+
+def outline(domain: Domain, poses: Poses) -> tuple[Array, Array]:
+    """Returns the outermost points of the DLO's centre line, and of the bodies and the cylinder: (N, points, 2) m."""
+    dlo = np.concatenate(ends(poses.dlo, domain.length / poses.dlo.shape[1]), axis=1)
+    others = [_corners(_place(domain, poses.bodies)).reshape(len(dlo), -1, 2)]
+    if poses.cylinder is not None:
+        yaw = poses.cylinder[:, 2:] + np.pi / 2 * np.arange(4)
+        others.append(poses.cylinder[:, None, :2] + CYLINDER_RADIUS * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1))
+    return dlo, np.concatenate(others, axis=1)
 
 
 def ends(dlo: Array, segment: float) -> tuple[Array, Array]:

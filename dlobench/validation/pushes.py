@@ -48,7 +48,7 @@ def step_rows(found: Sequence[Found]) -> Iterator[Row]:
 def sanity_rows(found: Sequence[Found]) -> Iterator[Row]:
     """Yields the counts of impossible states, the deep end of the penetrations, and what was redrawn."""
     deepest = np.concatenate([np.max(list(f.depth.values()), axis=0) for f in found])
-    states = f"{sum(len(f.speed) for f in found)} random pushes, {len(deepest)} states"
+    states = f"{sum(f.commands for f in found)} random pushes, {len(deepest)} states"
     yield at_most("states that are no number", int((~np.isfinite(deepest)).sum()), 0, note=states)
     yield at_most("trajectories with an engine warning", int(sum(f.warned.sum() for f in found)), 0)
     yield at_most("states with something beyond a wall", int(sum(f.outside.sum() for f in found)), 0)
@@ -73,9 +73,9 @@ def sanity_rows(found: Sequence[Found]) -> Iterator[Row]:
 def rest_rows(found: Sequence[Found]) -> Iterator[Row]:
     """Yields the share of pushes that end in motion, and what a restart from positions alone changes."""
     for name, part in [("all", list(found)), *_parts(found)]:
-        speed = np.concatenate([np.maximum(f.speed, f.speed_others) for f in part])
-        dlo, others = (np.concatenate(rows) for rows in zip(*((f.speed, f.speed_others) for f in part), strict=True))
-        about = f"the DLO {_share(dlo):.2f} %, bodies and cylinder {_share(others):.2f} %"
+        speeds = {name: np.concatenate([f.speed[name] for f in part]) for name in part[0].speed}
+        speed = np.max(list(speeds.values()), axis=0)
+        about = ", ".join(f"{name} {_share(own):.2f} %" for name, own in speeds.items())
         about += f"; fastest {1e3 * speed.max():.0f} mm/s"
         bound = STILL_BOUND if name == "all" else None
         yield at_most(f"pushes that end faster than 1 mm/s, {name}", _share(speed), bound, "%", about)

@@ -15,7 +15,7 @@ from dlobench.data.executors import cores, local
 from dlobench.domain import ATTACHMENTS, LENGTHS, MATERIALS, MAX_BODIES, Domain, sample
 from dlobench.validation import overlaps
 from dlobench.validation.check import Effort
-from dlobench.validation.rig import Edit, Push, Rest, Rig, walk
+from dlobench.validation.probe import Edit, Probe, Push, Rest, walk
 from dlobench.world import scene
 from dlobench.world.simulate import PUSHES
 
@@ -36,8 +36,7 @@ class Found:
     depth: Mapping[str, Array]  # kind of pair → (states,)  deepest penetration, m
     crossings: Array  # (states,)  pairs of segments that cross
     outside: NDArray[np.bool_]  # (states,)  something is beyond a wall, or is no number
-    speed: Array  # (pushes,)  largest speed of a point of the DLO after each push, m/s
-    speed_others: Array  # (pushes,)  of a body or a movable cylinder
+    speed: Mapping[str, Array]  # of what → (pushes,)  largest speed of any of its points after each push, m/s
     warned: NDArray[np.bool_]  # (trajectories,)  MuJoCo raised or warned
     failed: NDArray[np.bool_]  # (trajectories,)  would be redrawn
     commands: int  # feasible commands drawn
@@ -62,8 +61,8 @@ class Piece:
     domain: Domain
     trajectories: int
     pushes: int
-    timestep: float
-    edit: Edit | None
+    timestep: float = scene.TIMESTEP
+    edit: Edit | None = None
 
 
 def domains(effort: Effort) -> list[Domain]:
@@ -105,12 +104,12 @@ def gather(
 def visit(piece: Piece) -> tuple[int, Found]:
     """Simulates the random pushes of one domain."""
     domain = piece.domain
-    rig = Rig(domain, piece.trajectories, timestep=piece.timestep, edit=piece.edit)
+    probe = Probe(domain, piece.trajectories, timestep=piece.timestep, edit=piece.edit)
     made, speeds, warned = list[Push](), [], np.zeros(piece.trajectories, dtype=bool)
-    for push in walk(rig, [[SEED, piece.index, k, 0] for k in range(piece.trajectories)], piece.pushes):
+    for push in walk(probe, [[SEED, piece.index, k, 0] for k in range(piece.trajectories)], piece.pushes):
         made.append(push)
-        speeds.append(rig.speeds())
-        warned |= rig.warned()
+        speeds.append(probe.speeds())
+        warned |= probe.warned()
     running = np.stack([push.running for push in made])
 
     def kept(rows: Sequence[NDArray[Any]]) -> NDArray[Any]:
@@ -122,13 +121,12 @@ def visit(piece: Piece) -> tuple[int, Found]:
         depth={name: kept([depth[name] for depth in depths]) for name in depths[0]},
         crossings=kept([overlaps.crossings(domain, push.poses) for push in made]),
         outside=kept([overlaps.outside(domain, push.poses) for push in made]),
-        speed=np.stack([dlo for dlo, _ in speeds[1:]])[running[1:]],
-        speed_others=np.stack([others for _, others in speeds[1:]])[running[1:]],
+        speed={name: np.stack([speed[name] for speed in speeds[1:]])[running[1:]] for name in speeds[0]},
         warned=warned,
-        failed=rig.failed.copy(),
+        failed=probe.failed.copy(),
         commands=sum(push.commands for push in made),
         redrawn=sum(push.redrawn for push in made),
-        compared=_compare(piece, made, rig.failed),
+        compared=_compare(piece, made, probe.failed),
     )
 
 
@@ -140,7 +138,7 @@ def _compare(piece: Piece, made: Sequence[Push], failed: NDArray[np.bool_]) -> C
     picks = [(rng.choice(np.flatnonzero(moved[:, k])), k) for k in np.flatnonzero(moved.any(axis=0) & ~failed)]
     if not picks:
         return Compared(*np.zeros((3, 0)))
-    before = Rest.stack([made[t + 1].before.take(np.array([k])) for t, k in picks])
+    before = Rest.stack([made[t + 1].before.take([k]) for t, k in picks])
     displacement = np.stack([made[t + 1].displacement[k] for t, k in picks])
     start, there = (np.stack([dlo[t + later, k] for t, k in picks]) for later in (0, 1))
     ends = list(_again(piece, before, displacement))
@@ -152,9 +150,9 @@ def _compare(piece: Piece, made: Sequence[Push], failed: NDArray[np.bool_]) -> C
 def _again(piece: Piece, before: Rest, displacement: Array) -> Iterator[Array]:
     """Yields the segment centres after a push at the step and at a finer one, (S, segments, 2) m."""
     for timestep in (piece.timestep, piece.timestep / FINER):
-        rig = Rig(piece.domain, len(displacement), timestep=timestep, edit=piece.edit)
-        rig.put(before)
-        yield rig.poses(rig.push(displacement)).dlo[..., :2]
+        probe = Probe(piece.domain, len(displacement), timestep=timestep, edit=piece.edit)
+        probe.put(before)
+        yield probe.poses(probe.push(displacement)).dlo[..., :2]
 
 
 def _distance(one: Array, two: Array) -> Array:
