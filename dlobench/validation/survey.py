@@ -25,7 +25,7 @@ SEED = 20_240
 FINER = 10  # the reference takes a tenth of the step
 MOVED = 0.001  # m, mean over segments: pushes that move the DLO by more are compared
 # Domains a cell of material, attachment and object count; trajectories a domain; pushes a trajectory.
-SIZES: dict[Effort, tuple[int, int, int]] = {"quick": (1, 1, 10), "normal": (7, 4, PUSHES), "full": (7, 20, PUSHES)}
+SIZES: dict[Effort, tuple[int, int, int]] = {"quick": (1, 2, 10), "normal": (7, 4, PUSHES), "full": (7, 20, PUSHES)}
 
 
 @dataclass(frozen=True)
