@@ -40,7 +40,10 @@ class _Boxes:
 
 
 def depths(domain: Domain, poses: Poses) -> dict[str, Array]:
-    """Returns the deepest penetration of each kind of pair in each state, (N,) m; 0 where nothing overlaps."""
+    """Returns the deepest penetration of each kind of pair in each state, (N,) m; 0 where nothing overlaps.
+
+    In a state that holds what is no number no depth is a number.
+    """
     segment = domain.length / poses.dlo.shape[1]
     a, b = ends(poses.dlo, segment)
     boxes = _place(domain, poses.bodies)
@@ -67,17 +70,23 @@ def depths(domain: Domain, poses: Poses) -> dict[str, Array]:
             "pusher-cylinder": PUSHER_RADIUS + CYLINDER_RADIUS - between,
             "cylinder-wall": np.abs(cylinder) + CYLINDER_RADIUS - half,
         }
-    # A pose that is no number has no depth; fmax would hide it, maximum keeps it.
-    return {name: np.maximum(depth.reshape(len(depth), -1).max(axis=1, initial=0), 0) for name, depth in found.items()}
+    lost = ~np.isfinite(_centres(domain, poses)).all(axis=(1, 2))
+    deepest = {name: depth.reshape(len(depth), -1).max(axis=1, initial=0) for name, depth in found.items()}
+    return {name: np.where(lost, np.nan, depth) for name, depth in deepest.items()}
 
 
 def outside(domain: Domain, poses: Poses) -> Mask:
     """Tells in which states (N,) the centre of anything is beyond a wall, or is no number."""
+    farthest: Array = np.abs(_centres(domain, poses)).max(axis=(1, 2))
+    return ~(farthest <= WORKSPACE / 2)
+
+
+def _centres(domain: Domain, poses: Poses) -> Array:
+    """Returns the centres of everything, boxes one by one: (N, things, 2) m."""
     centres = [poses.dlo[..., :2], poses.pusher[:, None], _place(domain, poses.bodies).centre]
     if poses.cylinder is not None:
         centres.append(poses.cylinder[:, None, :2])
-    farthest: Array = np.abs(np.concatenate(centres, axis=1)).max(axis=(1, 2))  # what is no number comes through
-    return ~(farthest <= WORKSPACE / 2)
+    return np.concatenate(centres, axis=1)
 
 
 def crossings(domain: Domain, poses: Poses) -> Array:
@@ -151,8 +160,7 @@ def _self_distance(centre: Array, a: Array, b: Array, segment: float) -> Array:
     least = np.ones(len(centre))
     i, j = np.triu_indices(centre.shape[1], k=APART + 1)
     apart = np.linalg.norm(centre[:, i] - centre[:, j], axis=-1)
-    # Only those whose centres are close enough to touch; what is no number counts as close.
-    n, pair = np.nonzero(~(apart > 2 * DLO_RADIUS + segment))
+    n, pair = np.nonzero(apart <= 2 * DLO_RADIUS + segment)  # the others are too far apart to touch
     a1, b1, a2, b2 = a[n, i[pair]], b[n, i[pair]], a[n, j[pair]], b[n, j[pair]]
     ways = [_to_line(a1, a2, b2), _to_line(b1, a2, b2), _to_line(a2, a1, b1), _to_line(b2, a1, b1)]
     np.minimum.at(least, n, np.where(_cross(a1, b1, a2, b2), 0, np.min(ways, axis=0)))

@@ -49,6 +49,11 @@ class Trace:
     qvel: Array  # (S, steps, nv)
     plastic: Array  # (S, steps, nplastic)  rad
 
+    @staticmethod
+    def joined(*parts: Trace) -> Trace:
+        """Joins pushes that follow each other."""
+        return Trace(*(np.concatenate([getattr(part, f.name) for part in parts], axis=1) for f in fields(Trace)))
+
 
 class Probe(Simulator):
     """Steps S simulations of one domain as the shipped simulator does, and lets itself be looked into."""
