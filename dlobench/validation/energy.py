@@ -96,7 +96,8 @@ def energies(probe: Probe, trace: Trace, s: int, start: int) -> Array:
 
 def slow(probe: Probe) -> float:
     """Returns the energy that everything but the pusher has at 1 mm/s, J: below it the world counts as still."""
-    return float(probe.model.body_mass.sum()) * STILL**2 / 2
+    mass = probe.model.body_mass.sum() - probe.model.body_mass[probe.layout.pusher]
+    return float(mass) * STILL**2 / 2
 
 
 def _weightless(model: mujoco.MjModel) -> mujoco.MjModel:
