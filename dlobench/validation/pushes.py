@@ -40,6 +40,8 @@ def step_rows(found: Sequence[Found]) -> Iterator[Row]:
         error, motion = (np.concatenate([getattr(f.compared, row) for f in part]) for row in ("step", "motion"))
         about = f"against step/{FINER}; {len(error)} pushes of {1e3 * _mean(motion):.1f} mm"
         about += f"; 95th percentile {_percentile(error, 95):.2f} mm"
+        if name == "all":
+            about += f"; most in {_worst(found, [_mean(f.compared.step) for f in found])}"
         yield at_most(f"step-size error a push, {name}", 1e3 * _mean(error), STEP_BOUND, "mm", about)
 
 
@@ -58,7 +60,8 @@ def sanity_rows(found: Sequence[Found]) -> Iterator[Row]:
     for name in sorted({name for f in found for name in f.depth}):
         pairs[name] = np.concatenate([f.depth[name] for f in found if name in f.depth])
     for name, depths in sorted(pairs.items(), key=lambda pair: -_percentile(pair[1], DEPTH_PERCENTILE)):
-        about = f"deepest {1e3 * depths.max():.2f} mm"
+        where = _worst(found, [float(f.depth[name].max()) if name in f.depth else 0.0 for f in found])
+        about = f"deepest {1e3 * depths.max():.2f} mm, in {where}"
         yield at_most(f"penetration, {name}", _percentile(depths, DEPTH_PERCENTILE), None, "mm", about)
     redrawn = {name: 100 * float(np.concatenate([f.failed for f in part]).mean()) for name, part in _cells(found)}
     worst = max(redrawn, key=lambda name: redrawn[name])
@@ -81,6 +84,11 @@ def rest_rows(found: Sequence[Found]) -> Iterator[Row]:
     about = f"mean over segments after the next push; 95th percentile {_percentile(change, 95):.2f} mm"
     about += f", motion {1e3 * _mean(motion):.1f} mm"
     yield at_most("restart from positions alone", 1e3 * _mean(change), None, "mm", about)
+
+
+def _worst(found: Sequence[Found], figures: Sequence[float]) -> str:
+    """Names the cell of the domain whose figure is largest; what is no number is not."""
+    return _cell(found[int(np.argmax(np.nan_to_num(figures, nan=-np.inf)))].domain)
 
 
 def _mean(values: Array) -> float:
@@ -115,5 +123,9 @@ def _cells(found: Sequence[Found]) -> Iterator[tuple[str, list[Found]]]:
     """Yields what was found of every cell of material, attachment and object count."""
     cells = dict[str, list[Found]]()
     for f in found:
-        cells.setdefault(f"{f.domain.material}–{f.domain.attachment}–{len(f.domain.bodies)}", []).append(f)
+        cells.setdefault(_cell(f.domain), []).append(f)
     yield from cells.items()
+
+
+def _cell(domain: Domain) -> str:
+    return f"{domain.material}–{domain.attachment}–{len(domain.bodies)}"
