@@ -17,10 +17,8 @@ if TYPE_CHECKING:
 
 
 def validate(
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Fewer pushes and coarser references: within a minute.")
-    ] = False,
-    full: Annotated[bool, typer.Option("--full", help="10^5 random pushes: an hour.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer pushes, within a minute.")] = False,
+    full: Annotated[bool, typer.Option("--full", help="10^5 random pushes, and more of everything.")] = False,
     only: Annotated[
         list[str] | None, typer.Option("--only", metavar="NAME", help="Only this check; repeat it.")
     ] = None,

@@ -39,7 +39,7 @@ def step_rows(found: Sequence[Found]) -> Iterator[Row]:
     for name, part in [("all", list(found)), *_parts(found)]:
         error, motion = (np.concatenate([getattr(f.compared, row) for f in part]) for row in ("step", "motion"))
         about = f"against step/{FINER}; {len(error)} pushes of {1e3 * _mean(motion):.1f} mm"
-        about += f"; 95th percentile {_percentile(error, 95):.2f} mm"
+        about += f"; median {_percentile(error, 50):.2f} mm, 95th percentile {_percentile(error, 95):.2f} mm"
         if name == "all":
             about += f"; most in {_worst(found, [_mean(f.compared.step) for f in found])}"
         yield at_most(f"step-size error a push, {name}", 1e3 * _mean(error), STEP_BOUND, "mm", about)
