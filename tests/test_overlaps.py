@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from test_domain import UNEQUAL, make
 
 from dlobench.domain import DLO_RADIUS, SEGMENT_LENGTH, WORKSPACE, RigidBody
-from dlobench.validation.overlaps import Poses, crossings, depths, outline, outside
 from dlobench.world.chain import APART, CYLINDER_RADIUS
+from dlobench.world.overlaps import Poses, crossings, depths, outline, outside
 from dlobench.world.scene import PUSHER_RADIUS
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ from mujoco.batch import SimulationError
 from numpy.typing import NDArray
 
 from dlobench.domain import Domain
-from dlobench.validation.overlaps import Poses, outline
 from dlobench.world import actions, scene, starts
+from dlobench.world.overlaps import Poses, outline
 from dlobench.world.simulate import Simulator, Streams
 from dlobench.world.state import Array, State, controls, observe
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from dlobench.errors import UsageError
-from dlobench.validation.check import Check, Effort, Row
 from dlobench.validation.beams import check_buckling, check_cantilever, check_frequencies
+from dlobench.validation.check import Check, Effort, Row
 from dlobench.validation.directions import check_directions
 from dlobench.validation.dynamic import check_dynamic
 from dlobench.validation.energy import check_energy

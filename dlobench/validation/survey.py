@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from dlobench.data.executors import cores, local
 from dlobench.domain import ATTACHMENTS, LENGTHS, MATERIALS, MAX_BODIES, Domain, sample
-from dlobench.validation import overlaps
 from dlobench.validation.check import Effort
 from dlobench.validation.probe import Edit, Probe, Push, Rest, walk
-from dlobench.world import scene
+from dlobench.world import overlaps, scene
 from dlobench.world.simulate import PUSHES
 
 Array = NDArray[np.float64]

@@ -6,13 +6,14 @@ import math
 
 import mujoco
 
-from dlobench.domain import DLO_RADIUS, GRAVITY, SEGMENT_LENGTH, Domain
+from dlobench.domain import DLO_RADIUS, GRAVITY, SEGMENT_LENGTH, Domain, Material
 from dlobench.world import contact
 
 CYLINDER_RADIUS = 0.0075  # m, the body that an attached DLO ends in
 CYLINDER_HEIGHT = 0.015  # m
 CYLINDER_DENSITY = 1200.0  # kg/m³
-DAMPING_TIME = 0.02  # s, joint damping over joint stiffness
+# s, joint damping over joint stiffness: ropes are quick to rest, stiff rods must not whip
+DAMPING_TIME: dict[Material, float] = {"soft": 0.02, "flexible": 0.1, "elastoplastic": 0.1}
 NEVER_YIELDS = 1e3  # rad; keeps plastic state allocated, so that materials share their sizes
 SUPPORTED = 2  # segments that share a support, in their middle
 APART = 3  # segments closer than this along the chain are never tested for contact
@@ -72,7 +73,7 @@ def _add_bend(body: mujoco.MjsBody, i: int, domain: Domain, length: float) -> No
         axis=[0, 0, 1],
         pos=[-length / 2, 0, 0],
         stiffness=stiffness,
-        damping=stiffness * DAMPING_TIME,
+        damping=stiffness * DAMPING_TIME[domain.material],
         springyield=NEVER_YIELDS if domain.yield_curvature is None else domain.yield_curvature * span,
     )
 

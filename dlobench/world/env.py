@@ -19,8 +19,8 @@ from dlobench.world.state import PUSH_TIME, Array
 class Environment(control.Environment):  # type: ignore[misc]  # dm_control is untyped
     """Runs episodes. `copy.deepcopy` gives a twin to plan with, to the last bit.
 
-    Where the simulation fails (MuJoCo warns, or something goes through a wall) the push is taken back and the episode
-    cut: its last step shows the state before that push, nothing executed, with a discount of 1.
+    Where the simulation fails (MuJoCo warns, or things are pressed into each other) the push is taken back and the
+    episode cut: its last step shows the state before that push, nothing executed, with a discount of 1.
     """
 
     _reset_next_step: bool  # dm_control's

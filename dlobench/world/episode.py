@@ -68,7 +68,7 @@ class Pushing(control.Task):  # type: ignore[misc]  # dm_control is untyped
         physics.plan(self._executed)
 
     def after_step(self, physics: Physics) -> None:
-        """Raises `control.PhysicsError` when something has gone through a wall."""
+        """Raises `control.PhysicsError` when things have been pressed into each other."""
         goal.check(physics)
 
     def take_back(self, physics: Physics) -> None:

@@ -10,7 +10,7 @@ from dm_control.rl import control
 from dlobench.domain import MAX_SEGMENTS
 from dlobench.world import actions
 from dlobench.world.physics import Physics
-from dlobench.world.simulate import PUSHES, outside
+from dlobench.world.simulate import PUSHES, impossible
 from dlobench.world.starts import Start
 from dlobench.world.state import Array
 
@@ -26,9 +26,9 @@ def settle(physics: Physics, start: Start) -> None:
 
 
 def check(physics: Physics) -> None:
-    """Raises `control.PhysicsError` when a segment or a body has gone through a wall."""
-    if outside(physics.state()).any():
-        raise control.PhysicsError("a segment or a body has been squeezed through a wall")
+    """Raises `control.PhysicsError` when things have been pressed into each other."""
+    if impossible(physics.domain, physics.state()).any():
+        raise control.PhysicsError("things have been pressed into each other")
 
 
 def centres(physics: Physics) -> Array:

@@ -20,10 +20,10 @@ from dlobench.world import contact
 from dlobench.world.chain import add_dlo
 from dlobench.world.pressure import spread
 
-TIMESTEP = 0.005  # s; docs/adr/0008
+TIMESTEP = 0.004  # s; docs/adr/0008
 PUSHER_RADIUS = 0.0075  # m
 PUSHER_MASS = 0.02  # kg
-REACH = WORKSPACE / 2 - PUSHER_RADIUS - 2.5 * DLO_RADIUS  # m, the pusher's axis stays within: a DLO fits behind it
+REACH = WORKSPACE / 2 - PUSHER_RADIUS - 4.5 * DLO_RADIUS  # m, the pusher's axis stays within: two DLOs fit behind it
 PUSHER_FORCE = 1.5  # N, the bound of each of the two servos: the heaviest body resists with 1.1 N
 PUSHER_GAINS = {"kp": 1000.0, "kv": 15.0, "ki": 1000.0, "imax": 1e-4}  # N/m, N s/m, N/(m s), m s
 
@@ -71,7 +71,7 @@ def spec(domain: Domain, timestep: float = TIMESTEP, fineness: int = 1) -> mujoc
     out.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     out.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     out.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
-    out.option.tolerance = 1e-4  # tighter ones change no state by more than a micrometre, and cost a tenth
+    out.option.tolerance = 1e-6  # tighter ones change no state by more than a micrometre, and cost a tenth
     out.option.impratio = contact.IMPRATIO
     out.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP  # what lies still costs nothing and cannot creep
     out.default.geom.solref[:2] = contact.SOLID_SOLREF

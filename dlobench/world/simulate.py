@@ -15,13 +15,14 @@ from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
 from dlobench import ranges
-from dlobench.domain import WORKSPACE, Domain
+from dlobench.domain import Domain
 from dlobench.errors import RunError, UsageError
 from dlobench.trajectories import Trajectories, geometry
-from dlobench.world import actions, scene, starts
+from dlobench.world import actions, overlaps, scene, starts
 from dlobench.world.state import MOMENTARY, Array, State, controls, fixed_point, observe, place
 
 PUSHES = 20  # n_P, pushes a trajectory
+PENETRATION = 0.001  # m; a push that ends with things deeper in each other ends its trajectory
 RETRIES = 20  # derived seeds that a trajectory may use up before its domain is called broken
 
 
@@ -50,7 +51,7 @@ class Simulator:
         self.layout = scene.layout(self.model, domain)
         self._batch = Batch(self.model, simulations, threads, persistent=True)  # sleeping needs it
         self._xpos, self._xmat = self._batch.bind("xpos"), self._batch.bind("xmat")
-        self.failed = np.zeros(simulations, dtype=bool)  # raised, warned or went through a wall since the reset
+        self.failed = np.zeros(simulations, dtype=bool)  # since the reset: raised, warned, pressed solids together
 
     def reset(self, begin: Sequence[starts.Start]) -> State:
         """Places every simulation at its start, lets it settle for the time of a push, and returns the state."""
@@ -81,7 +82,7 @@ class Simulator:
         self.failed |= (self._batch.status != 0) | self._batch.warning.reshape(len(self.failed), -1).any(axis=1)
         self._batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
         state = observe(self.layout, self._xpos, self._xmat)
-        self.failed |= outside(state)
+        self.failed |= impossible(self.domain, state)
         return state
 
     def fixed_cylinders(self) -> Array | None:
@@ -89,11 +90,17 @@ class Simulator:
         return fixed_point(self.layout, self.domain, self._xpos)
 
 
-def outside(state: State) -> NDArray[np.bool_]:
-    """Tells which simulations have squeezed a segment or a body through a wall, its centre first."""
-    places = np.concatenate([state.dlo[..., :2], state.bodies[..., :2]], axis=1)
-    outside: NDArray[np.bool_] = ~(np.abs(places) <= WORKSPACE / 2).all(axis=(1, 2))  # also where it is no number
-    return outside
+def impossible(domain: Domain, state: State) -> NDArray[np.bool_]:
+    """Tells which simulations (S,) have pressed things deeper into each other or a wall than solids may be."""
+    poses = overlaps.Poses(
+        dlo=state.dlo[:, : domain.segments],
+        pusher=state.pusher,
+        bodies=state.bodies[:, : len(domain.bodies)],
+        cylinder=None if domain.attachment == "none" else state.cylinder,
+    )
+    deepest = np.max(list(overlaps.depths(domain, poses).values()), axis=0)
+    wrong: NDArray[np.bool_] = ~(deepest <= PENETRATION) | (overlaps.crossings(domain, poses) > 0)  # also no number
+    return wrong
 
 
 @dataclass(frozen=True)
@@ -102,7 +109,7 @@ class Account:
 
     commands_redrawn: int  # infeasible commands
     commands: int  # feasible commands
-    trajectories_redrawn: int  # simulations that raised, warned or went through a wall
+    trajectories_redrawn: int  # simulations that raised, warned or pressed solids into each other
 
 
 def simulate(
@@ -110,8 +117,9 @@ def simulate(
 ) -> tuple[Trajectories, Account]:
     """Simulates one trajectory a seed, with biased pushes executed with noise.
 
-    A trajectory whose simulation raises, warns or goes through a wall is redrawn from its seed and the attempt's
-    number, and counted. Raises `RunError` when one fails too often, and `UsageError` for a number that makes no sense.
+    A trajectory whose simulation raises, warns or presses solids into each other is redrawn from its seed and
+    the attempt's number, and counted. Raises `RunError` when one fails too often, and `UsageError` for a number that
+    makes no sense.
     """
     seeds, pushes = [ranges.seed(seed) for seed in seeds], ranges.whole("pushes", pushes, 1)
     ranges.whole("number of seeds", len(seeds), 1)

@@ -18,7 +18,7 @@ from dlobench.world.starts import Start, check
 Array = NDArray[np.float64]
 
 PUSH_TIME = 0.3  # s, settling included
-MOVE_TIME = 0.25  # s, of which the pusher moves
+MOVE_TIME = 0.24  # s, of which the pusher moves
 
 
 MOMENTARY = ("qvel", "act", "qacc_warmstart")  # what MuJoCo would carry from one push to the next beside positions
