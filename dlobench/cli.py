@@ -16,6 +16,7 @@ import typer
 
 from dlobench import __version__
 from dlobench.cli_look import Data, Workers, data_app, list_app, open_store
+from dlobench.cli_render import render
 from dlobench.cli_validate import validate
 from dlobench.errors import RunError, UsageError
 
@@ -33,6 +34,7 @@ leaderboard_app = typer.Typer(help="Build the leaderboard.", no_args_is_help=Tru
 app.add_typer(list_app, name="list")
 app.add_typer(data_app, name="data")
 app.add_typer(leaderboard_app, name="leaderboard")
+app.command()(render)
 app.command()(validate)
 
 Scale = Annotated[str, typer.Option(help="How much: mini (minutes), small (hours), paper (a cluster).")]

@@ -35,7 +35,7 @@ class Row:
 Check = Callable[[Effort], Iterator[Row]]
 
 
-def relative(
+def relative(  # noqa: PLR0917
     name: str, measured: float, reference: float, percent: float | None, unit: str = "", note: str = ""
 ) -> Row:
     """Returns a row whose error is |measured − reference| / |reference| in %."""

@@ -17,7 +17,7 @@ from dlobench.validation.probe import Probe, walk
 from dlobench.validation.survey import MOVED, SEED, Piece
 from dlobench.world import scene, starts
 from dlobench.world.simulate import Streams
-from dlobench.world.state import controls, place
+from dlobench.world.state import MOMENTARY, controls, place
 
 Array = NDArray[np.float64]
 
@@ -106,28 +106,21 @@ def _replay(domain: Domain, seed: list[int], moves: Array) -> Array:
     """Returns the finer chain's (T + 1, segments, 3) poses in the trajectory of a seed, under its displacements."""
     model = scene.build(domain, scene.TIMESTEP, fineness=FINENESS)
     data = mujoco.MjData(model)
-    first = 0 if domain.attachment != "none" else 1
-    count = FINENESS * domain.segments
-    joints = [model.joint(f"bend{i}") for i in range(first, count)]
-    segments = [model.body(f"segment{i}").id for i in range(count)]
-    layout = replace(
-        scene.layout(model, domain),
-        joint_qpos=np.array([joint.qposadr[0] for joint in joints]),
-        joint_plastic=np.array([model.jnt_plasticadr[joint.id] for joint in joints]),
-    )
+    layout = scene.layout(model, domain)
     start = starts.sample(domain, Streams.of(seed).start)
-    bends = np.zeros(count)
+    bends = np.zeros(FINENESS * domain.segments)
     bends[::FINENESS] = start.bends  # the very same polygon
     placed = place(model, layout, domain, replace(start, bends=bends))
     data.qpos[:], data.plastic[:] = placed.qpos, placed.plastic
     data.mocap_pos[:], data.mocap_quat[:] = placed.mocap_pos, placed.mocap_quat
     poses = []
     for move in moves:  # the first is the settling
-        data.act[:] = 0
+        for name in MOMENTARY:
+            getattr(data, name)[:] = 0
         for control in controls(data.qpos[None, layout.pusher_qpos], move[None], model.opt.timestep)[0]:
             data.ctrl[:] = control
             mujoco.mj_step(model, data)
         mujoco.mj_kinematics(model, data)
-        yaw = np.arctan2(data.xmat[segments, 3], data.xmat[segments, 0])
-        poses.append(np.column_stack([data.xpos[segments, :2], yaw]))
+        x, turned = data.xpos[layout.segments], data.xmat[layout.segments]
+        poses.append(np.column_stack([x[:, :2], np.arctan2(turned[:, 3], turned[:, 0])]))
     return np.stack(poses)

@@ -90,7 +90,7 @@ def places(state: State) -> Array:
 
 def same(one: State, two: State) -> bool:
     """Compares bits."""
-    return all(getattr(one, f).tobytes() == getattr(two, f).tobytes() for f in ("dlo", "pusher", "bodies"))
+    return all(getattr(one, f).tobytes() == getattr(two, f).tobytes() for f in ("dlo", "pusher", "bodies", "cylinder"))
 
 
 def by_threads(domain: Domain, pushes: int) -> list[tuple[State, State]]:
@@ -130,7 +130,8 @@ def run(domain: Domain, seeds: Sequence[int], pushes: int, threads: int = 1) -> 
 
 def row(state: State, s: int) -> State:
     """Returns one simulation of a state."""
-    return State(state.dlo[s : s + 1], state.pusher[s : s + 1], state.bodies[s : s + 1])
+    one = slice(s, s + 1)
+    return State(state.dlo[one], state.pusher[one], state.bodies[one], state.cylinder[one])
 
 
 class Recorder(Probe):

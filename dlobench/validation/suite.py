@@ -7,11 +7,13 @@ from collections.abc import Iterator, Sequence
 from dlobench.errors import UsageError
 from dlobench.validation.check import Check, Effort, Row
 from dlobench.validation.energy import check_energy
+from dlobench.validation.folds import check_folds
 from dlobench.validation.pushes import check_at_rest, check_random_pushes, check_step_size
 from dlobench.validation.sameness import check_jacobians, check_same_bits
 from dlobench.validation.shapes import check_materials
 
 CHECKS: dict[str, Check] = {
+    "folds": check_folds,
     "step-size": check_step_size,
     "jacobians": check_jacobians,
     "random-pushes": check_random_pushes,

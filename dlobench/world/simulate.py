@@ -18,7 +18,7 @@ from dlobench.domain import WORKSPACE, Domain
 from dlobench.errors import RunError
 from dlobench.trajectories import Trajectories, geometry
 from dlobench.world import actions, scene, starts
-from dlobench.world.state import Array, State, controls, fixed_point, observe, place
+from dlobench.world.state import MOMENTARY, Array, State, controls, fixed_point, observe, place
 
 PUSHES = 20  # n_P, pushes a trajectory
 RETRIES = 20  # derived seeds that a trajectory may use up before its domain is called broken
@@ -60,10 +60,14 @@ class Simulator:
         return self.push(np.zeros((len(placed), 2)))
 
     def push(self, displacement: Array) -> State:
-        """Moves every pusher by its (S, 2) m displacement and returns the state after the push."""
+        """Moves every pusher by its (S, 2) m displacement and returns the state after the push.
+
+        Every push begins at rest, so that positions (and what plastic bending left) are the whole state.
+        """
         qpos = self._batch.bind("qpos")
         plan = controls(qpos[:, self.layout.pusher_qpos], displacement, self.model.opt.timestep)
-        self._batch.bind("act")[:] = 0
+        for name in MOMENTARY:
+            self._batch.bind(name)[:] = 0
         with contextlib.suppress(SimulationError):  # the others have finished; status says which raised
             self._batch.rollout(plan.shape[1], plan)
         self.failed |= (self._batch.status != 0) | self._batch.warning.reshape(len(self.failed), -1).any(axis=1)
