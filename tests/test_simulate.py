@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from test_domain import UNEQUAL, make
 
 from dlobench.domain import DLO_RADIUS, MATERIALS, WORKSPACE, Domain, RigidBody
-from dlobench.errors import RunError
+from dlobench.errors import RunError, UsageError
 from dlobench.trajectories import Trajectories
 from dlobench.world import actions, env, simulate, starts
 from dlobench.world.scene import REACH
@@ -127,7 +127,7 @@ def poison(monkeypatch: pytest.MonkeyPatch, calls: set[int]) -> None:
 
     def broken(domain: Domain, rng: np.random.Generator) -> starts.Start:
         start = sample(domain, rng)
-        return replace(start, pusher=np.full(2, np.nan)) if next(count) in calls else start
+        return replace(start, pusher=np.full(2, 1e12)) if next(count) in calls else start
 
     monkeypatch.setattr(starts, "sample", broken)
 
@@ -176,6 +176,45 @@ def test_what_always_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     poison(monkeypatch, set(range(1, 100)))
     with pytest.raises(RunError, match=r"^3 simulations in a row failed from seed \[5, 1\] in Domain\(.*flexible.*\)$"):
         simulate.simulate(DOMAINS["none"], SEEDS[:3], pushes=1)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"seeds": []}, "number of seeds = 0 is outside 1, 2, 3, …"),
+        ({"seeds": [[1, -2]]}, "seed = -2 is outside 0, 1, 2, …"),
+        ({"seeds": [[1.5]]}, "seed = 1.5 is not a whole number within 0, 1, 2, …"),
+        ({"seeds": ["7"]}, "seed = '7' is not a whole number within 0, 1, 2, …"),
+        ({"pushes": 0}, "pushes = 0 is outside 1, 2, 3, …"),
+        ({"pushes": 2.0}, "pushes = 2.0 is not a whole number within 1, 2, 3, …"),
+        ({"threads": 0}, "threads = 0 is outside 1, 2, 3, …"),
+        ({"threads": None}, "threads = None is not a whole number within 1, 2, 3, …"),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        simulate.simulate(DOMAINS["none"], **{"seeds": [[1]], "pushes": 1, **changes})
+    assert str(caught.value) == message
+
+
+def test_sizes_that_do_not_fit_the_batch_are_refused() -> None:
+    with pytest.raises(UsageError, match=r"^simulations = 0 is outside 1, 2, 3, …$"):
+        Simulator(DOMAINS["none"], 0)
+    rng = np.random.default_rng(0)
+    simulator = Simulator(DOMAINS["none"], 2)
+    begin = [starts.sample(DOMAINS["none"], rng) for _ in range(2)]
+    with pytest.raises(UsageError, match=r"^1 starts do not fit a batch of 2 simulations$"):
+        simulator.reset(begin[:1])
+    shorter, crowded = (starts.sample(make(**change), rng) for change in ({"length": 0.1}, {"bodies": BODIES[:1]}))
+    with pytest.raises(UsageError, match=r"^bends of a start has shape \(20,\), a domain of 32 segments .* \(32,\)$"):
+        simulator.reset([begin[0], shorter])
+    with pytest.raises(UsageError, match=r"^bodies of a start has shape \(1, 3\), a domain of .* 0 rigid bodies .*$"):
+        simulator.reset([crowded, begin[0]])
+    state = simulator.reset(begin)
+    for wrong in (np.zeros(2), np.zeros((3, 2)), np.zeros((2, 3)), [[0.0, 0.0], [np.nan, 0.0]], [[0.0, 0.0]]):
+        with pytest.raises(UsageError, match=r"^displacement .*, the batch needs .*: \(2, 2\)$"):
+            simulator.push(np.asarray(wrong))
+    np.testing.assert_allclose(simulator.push(np.zeros((2, 2))).dlo, state.dlo, atol=1e-4)  # nothing was disturbed
 
 
 def test_executed_is_commanded_and_noise(samples: dict[str, Sample]) -> None:

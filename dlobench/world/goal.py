@@ -10,8 +10,7 @@ from dm_control.rl import control
 from dlobench.domain import MAX_SEGMENTS
 from dlobench.world import actions
 from dlobench.world.physics import Physics
-from dlobench.world.simulate import PUSHES
-from dlobench.world.simulate import _outside as outside
+from dlobench.world.simulate import PUSHES, outside
 from dlobench.world.starts import Start
 from dlobench.world.state import Array
 

@@ -14,8 +14,9 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
+from dlobench import ranges
 from dlobench.domain import WORKSPACE, Domain
-from dlobench.errors import RunError
+from dlobench.errors import RunError, UsageError
 from dlobench.trajectories import Trajectories, geometry
 from dlobench.world import actions, scene, starts
 from dlobench.world.state import MOMENTARY, Array, State, controls, fixed_point, observe, place
@@ -39,9 +40,10 @@ class Streams:
 
 
 class Simulator:
-    """Steps S simulations of one domain, push by push."""
+    """Steps S simulations of one domain, push by push; raises `UsageError` for what does not fit their number."""
 
     def __init__(self, domain: Domain, simulations: int, threads: int = 1, timestep: float = scene.TIMESTEP) -> None:
+        simulations, threads = ranges.whole("simulations", simulations, 1), ranges.whole("threads", threads, 1)
         mujoco.set_mju_user_warning(scene.quiet)
         self.domain = domain
         self.model = scene.build(domain, timestep)
@@ -52,9 +54,11 @@ class Simulator:
 
     def reset(self, begin: Sequence[starts.Start]) -> State:
         """Places every simulation at its start, lets it settle for the time of a push, and returns the state."""
+        if len(begin) != len(self.failed):
+            raise UsageError(f"{len(begin)} starts do not fit a batch of {len(self.failed)} simulations")
+        placed = [place(self.model, self.layout, self.domain, start) for start in begin]
         self._batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         self.failed[:] = False
-        placed = [place(self.model, self.layout, self.domain, start) for start in begin]
         for name in ("qpos", "plastic", "mocap_pos", "mocap_quat"):
             self._batch.bind(name)[:] = np.stack([getattr(p, name) for p in placed])
         return self.push(np.zeros((len(placed), 2)))
@@ -64,6 +68,10 @@ class Simulator:
 
         Every push begins at rest, so that positions (and what plastic bending left) are the whole state.
         """
+        shape, needed = np.shape(displacement), (len(self.failed), 2)
+        if shape != needed or not np.isfinite(displacement).all():
+            problem = f"has shape {shape}" if shape != needed else "is not finite everywhere"
+            raise UsageError(f"displacement {problem}, the batch needs two finite numbers a simulation: {needed}")
         qpos = self._batch.bind("qpos")
         plan = controls(qpos[:, self.layout.pusher_qpos], displacement, self.model.opt.timestep)
         for name in MOMENTARY:
@@ -73,7 +81,7 @@ class Simulator:
         self.failed |= (self._batch.status != 0) | self._batch.warning.reshape(len(self.failed), -1).any(axis=1)
         self._batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
         state = observe(self.layout, self._xpos, self._xmat)
-        self.failed |= _outside(state)
+        self.failed |= outside(state)
         return state
 
     def fixed_cylinders(self) -> Array | None:
@@ -81,7 +89,7 @@ class Simulator:
         return fixed_point(self.layout, self.domain, self._xpos)
 
 
-def _outside(state: State) -> NDArray[np.bool_]:
+def outside(state: State) -> NDArray[np.bool_]:
     """Tells which simulations have squeezed a segment or a body through a wall, its centre first."""
     places = np.concatenate([state.dlo[..., :2], state.bodies[..., :2]], axis=1)
     outside: NDArray[np.bool_] = ~(np.abs(places) <= WORKSPACE / 2).all(axis=(1, 2))  # also where it is no number
@@ -103,8 +111,10 @@ def simulate(
     """Simulates one trajectory a seed, with biased pushes executed with noise.
 
     A trajectory whose simulation raises, warns or goes through a wall is redrawn from its seed and the attempt's
-    number, and counted. Raises `RunError` when one fails too often.
+    number, and counted. Raises `RunError` when one fails too often, and `UsageError` for a number that makes no sense.
     """
+    seeds, pushes = [ranges.seed(seed) for seed in seeds], ranges.whole("pushes", pushes, 1)
+    ranges.whole("number of seeds", len(seeds), 1)
     done: dict[int, list[Array]] = {}
     missing = list(range(len(seeds)))
     commands = redrawn = failures = 0

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dlobench.domain import MAX_BODIES, MAX_SEGMENTS, Domain
 from dlobench.world.scene import Layout
-from dlobench.world.starts import Start
+from dlobench.world.starts import Start, check
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,8 @@ class Placement:
 
 
 def place(model: mujoco.MjModel, layout: Layout, domain: Domain, start: Start) -> Placement:
-    """Writes a start as MuJoCo's positions and plastic state."""
+    """Writes a start as MuJoCo's positions and plastic state; raises `UsageError` for one of another domain's sizes."""
+    check(domain, start)
     qpos, plastic = model.qpos0.copy(), np.zeros(len(layout.joint_plastic))
     # Without a cylinder the first segment has no clamped hinge; the root is its end, its body frame its centre.
     bends = start.bends if domain.attachment != "none" else start.bends[1:]
