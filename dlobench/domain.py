@@ -27,6 +27,7 @@ MAX_BOXES = 5  # boxes of the largest rigid shape
 BOX_SIZE = 0.015  # m, the edge of every box
 DLO_RADIUS = 0.0024  # m
 WORKSPACE = 0.25  # m, the edge of the square between the walls
+GRAVITY = 9.81  # m/s²
 
 LENGTHS = tuple(c / 100 for c in range(10, 17))  # m, whole centimetres
 SURFACE_FRICTION = (0.2, 0.8)

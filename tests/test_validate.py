@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from test_cli import Call, call, check_failed
 from test_domain import UNEQUAL, make
 
-from dlobench.domain import MATERIALS, Domain
+from dlobench.domain import GRAVITY, MATERIALS, Domain
 from dlobench.validation import energy, sameness, shapes, suite, survey
 from dlobench.validation.check import EFFORTS, Effort, Row, at_most, relative
 from dlobench.validation.probe import Edit, Probe, Trace, walk
@@ -236,7 +236,7 @@ def test_speeds_are_those_of_the_fastest_points() -> None:
 
 def tilt(model: mujoco.MjModel) -> None:
     """Tilts the table so far that everything just slides."""
-    model.opt.gravity[1] = 1.05 * 0.5 * 9.81
+    model.opt.gravity[1] = 1.05 * 0.5 * GRAVITY
 
 
 @pytest.mark.parametrize("edit", [None, tilt], ids=["level", "tilted"])

@@ -9,18 +9,17 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from dlobench.domain import Domain, RigidBody
+from dlobench.domain import GRAVITY, Domain, RigidBody
 from dlobench.validation.check import Effort, Row, worst
 from dlobench.validation.forces import touch
 from dlobench.validation.rig import CYLINDER_MASS, Edit, Rig
 from dlobench.validation.sliding import FRICTIONS
-from dlobench.world import scene
 from dlobench.world.contact import friction_table
 from dlobench.world.starts import Start
 
 Array = NDArray[np.float64]
 
-G = scene.GRAVITY
+G = GRAVITY
 THINGS = ("dlo", "body0", "cylinder")
 LOAD = 1.3  # times friction: it goes faster and faster, to 0.1–0.35 m/s
 SETTLE, MEASURE = 0.05, 0.1  # s

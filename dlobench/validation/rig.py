@@ -61,7 +61,7 @@ class Rig:
         if edit is not None:
             edit(spec)
         self.domain = domain
-        self.model = spec.compile()
+        self.model = scene.compile(spec)
         self.data = mujoco.MjData(self.model)
         self.layout = scene.layout(self.model, domain)
         placed = place(self.model, self.layout, domain, begin)

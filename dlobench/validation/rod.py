@@ -64,7 +64,7 @@ class Rod:
         names = [f"bend{i}" for i in hinges]
         _add_loads(spec, f"segment{domain.segments - 1}")
         _add_machine(spec, names)
-        self.model = spec.compile()
+        self.model = scene.compile(spec)
         self.data = mujoco.MjData(self.model)
         joints = [self.model.joint(name).id for name in names]
         self._qpos, self._dof = self.model.jnt_qposadr[joints], self.model.jnt_dofadr[joints]

@@ -130,8 +130,7 @@ def run(domain: Domain, seeds: Sequence[int], pushes: int, threads: int = 1) -> 
 
 def row(state: State, s: int) -> State:
     """Returns one simulation of a state."""
-    one = slice(s, s + 1)
-    return State(state.dlo[one], state.pusher[one], state.bodies[one], state.cylinder[one])
+    return State(state.dlo[s : s + 1], state.pusher[s : s + 1], state.bodies[s : s + 1], state.cylinder[s : s + 1])
 
 
 class Recorder(Probe):

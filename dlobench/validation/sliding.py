@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from dlobench.domain import Domain, RigidBody
+from dlobench.domain import GRAVITY, Domain, RigidBody
 from dlobench.validation.check import Effort, Row, relative, worst
 from dlobench.validation.rig import Edit, Rig
 from dlobench.world import scene
@@ -23,7 +23,7 @@ from dlobench.world.starts import Start
 
 Array = NDArray[np.float64]
 
-G = scene.GRAVITY
+G = GRAVITY
 FINE = 0.001  # s
 FASTEST = 0.3  # m/s
 KINDS = ("rod sideways", "rod lengthways", "body")

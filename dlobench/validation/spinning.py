@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dlobench.domain import Domain, RigidBody, sample_body
+from dlobench.domain import GRAVITY, Domain, RigidBody, sample_body
 from dlobench.validation.check import Effort, Row, worst
 from dlobench.validation.patch import Patch
 from dlobench.validation.rig import Edit, Rig, box_masses
@@ -19,7 +19,7 @@ from dlobench.world.starts import Start
 
 Array = NDArray[np.float64]
 
-G = scene.GRAVITY
+G = GRAVITY
 FINE = 0.0005  # s
 YAW = 0.5  # rad, at the start
 SHOVE, TWIST = 1.8, 0.6  # times friction; a twist also times the radius of gyration

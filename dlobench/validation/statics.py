@@ -8,12 +8,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dlobench.domain import Attachment, Domain, RigidBody
+from dlobench.domain import GRAVITY, Attachment, Domain, RigidBody
 from dlobench.validation.check import Effort, Row, relative, worst
 from dlobench.validation.forces import touch
 from dlobench.validation.rig import CYLINDER_MASS, Edit, Rig, segment_mass
 from dlobench.world.chain import CYLINDER_RADIUS
-from dlobench.world.scene import GRAVITY
 from dlobench.world.starts import Start
 
 Array = NDArray[np.float64]

@@ -6,9 +6,8 @@ import math
 
 import mujoco
 
-from dlobench.domain import DLO_RADIUS, SEGMENT_LENGTH, Domain
+from dlobench.domain import DLO_RADIUS, GRAVITY, SEGMENT_LENGTH, Domain
 from dlobench.world import contact
-from dlobench.world.pressure import GRAVITY
 
 CYLINDER_RADIUS = 0.0075  # m, the body that an attached DLO ends in
 CYLINDER_HEIGHT = 0.015  # m

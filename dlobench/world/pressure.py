@@ -7,11 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from dlobench.domain import BOX_SIZE, RigidBody
+from dlobench.domain import BOX_SIZE, GRAVITY, RigidBody
 
 Array = NDArray[np.float64]
 
-GRAVITY = 9.81  # m/s²
 _OFFSET = BOX_SIZE / 2 / math.sqrt(3)  # m, Gauss points: they integrate an affine pressure and its moments exactly
 
 
