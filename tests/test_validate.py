@@ -227,7 +227,8 @@ def test_speeds_are_those_of_the_fastest_points() -> None:
     qvel[1, probe.layout.body_qpos[0, 2]] = 2.0
     qvel[1, probe.layout.pusher_qpos] = [0.3, 0.4]
     speeds = probe.speeds()
-    corner = np.linalg.norm(np.abs(UNEQUAL.boxes()[:, :2]) + UNEQUAL.boxes()[:, 3:], axis=1).max()
+    pivot = probe.layout.body_pivot[0]  # a body turns about its centre of mass
+    corner = np.linalg.norm(np.abs(UNEQUAL.boxes()[:, :2] - pivot) + UNEQUAL.boxes()[:, 3:], axis=1).max()
     assert speeds["DLO"] == pytest.approx([0, 0.5 * 0.12], rel=1e-4)
     assert speeds["bodies and cylinder"] == pytest.approx([0, 2 * corner], rel=1e-4)
     assert speeds["pusher"] == pytest.approx([0, 0.5])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import product
 
 import mujoco
@@ -16,8 +16,10 @@ from dlobench.validation.check import Effort, Row, at_most
 from dlobench.validation.probe import Probe, walk
 from dlobench.validation.survey import MOVED, SEED, Piece
 from dlobench.world import scene, starts
+from dlobench.world.scene import Layout
 from dlobench.world.simulate import Streams
-from dlobench.world.state import controls, place
+from dlobench.world.starts import Start
+from dlobench.world.state import MOMENTARY, controls, place
 
 Array = NDArray[np.float64]
 
@@ -106,28 +108,33 @@ def _replay(domain: Domain, seed: list[int], moves: Array) -> Array:
     """Returns the finer chain's (T + 1, segments, 3) poses in the trajectory of a seed, under its displacements."""
     model = scene.build(domain, scene.TIMESTEP, fineness=FINENESS)
     data = mujoco.MjData(model)
-    first = 0 if domain.attachment != "none" else 1
-    count = FINENESS * domain.segments
-    joints = [model.joint(f"bend{i}") for i in range(first, count)]
-    segments = [model.body(f"segment{i}").id for i in range(count)]
-    layout = replace(
-        scene.layout(model, domain),
-        joint_qpos=np.array([joint.qposadr[0] for joint in joints]),
-        joint_plastic=np.array([model.jnt_plasticadr[joint.id] for joint in joints]),
-    )
-    start = starts.sample(domain, Streams.of(seed).start)
-    bends = np.zeros(count)
-    bends[::FINENESS] = start.bends  # the very same polygon
-    placed = place(model, layout, domain, replace(start, bends=bends))
-    data.qpos[:], data.plastic[:] = placed.qpos, placed.plastic
-    data.mocap_pos[:], data.mocap_quat[:] = placed.mocap_pos, placed.mocap_quat
+    layout = scene.layout(model, domain)
+    _place(data, layout, domain, starts.sample(domain, Streams.of(seed).start))
     poses = []
     for move in moves:  # the first is the settling
-        data.act[:] = 0
+        for name in MOMENTARY:
+            getattr(data, name)[:] = 0
         for control in controls(data.qpos[None, layout.pusher_qpos], move[None], model.opt.timestep)[0]:
             data.ctrl[:] = control
             mujoco.mj_step(model, data)
         mujoco.mj_kinematics(model, data)
-        yaw = np.arctan2(data.xmat[segments, 3], data.xmat[segments, 0])
-        poses.append(np.column_stack([data.xpos[segments, :2], yaw]))
+        x, turned = data.xpos[layout.segments], data.xmat[layout.segments]
+        poses.append(np.column_stack([x[:, :2], np.arctan2(turned[:, 3], turned[:, 0])]))
     return np.stack(poses)
+
+
+def _place(data: mujoco.MjData, layout: Layout, domain: Domain, start: Start) -> None:
+    """Places the finer chain on the very polygon in which the shipped one starts."""
+    shipped = scene.build(domain)
+    placed = place(shipped, scene.layout(shipped, domain), domain, start)
+    x, y, yaw = start.root
+    data.mocap_pos[:], data.mocap_quat[:] = placed.mocap_pos, placed.mocap_quat
+    data.qpos[layout.root_qpos] = placed.qpos[scene.layout(shipped, domain).root_qpos]
+    if domain.attachment == "none":  # the root is the middle of the first segment
+        half = domain.length / domain.segments / FINENESS / 2
+        data.qpos[layout.root_qpos] = [x + half * np.cos(yaw), y + half * np.sin(yaw), yaw]
+    bends = np.zeros(FINENESS * domain.segments)
+    bends[::FINENESS] = start.bends
+    bends = bends[-len(layout.joint_qpos) :]
+    data.qpos[layout.joint_qpos] = data.plastic[layout.joint_plastic] = bends
+    data.qpos[layout.pusher_qpos] = start.pusher

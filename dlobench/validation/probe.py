@@ -15,7 +15,7 @@ from dlobench.domain import Domain
 from dlobench.world import actions, scene, starts
 from dlobench.world.overlaps import Poses, outline
 from dlobench.world.simulate import Simulator, Streams
-from dlobench.world.state import Array, State, controls, observe
+from dlobench.world.state import MOMENTARY, Array, State, controls, observe
 
 Edit = Callable[[mujoco.MjModel], None]  # changes settings of a compiled scene, not its sizes
 
@@ -92,21 +92,18 @@ class Probe(Simulator):
     def trace(self, displacement: Array) -> Trace:
         """Pushes by (S, 2) m, as `push` does, and returns every step on the way."""
         plan = controls(self._batch.qpos[:, self.layout.pusher_qpos], displacement, self.model.opt.timestep)
-        self._batch.bind("act")[:] = 0
+        for name in MOMENTARY:
+            self._batch.bind(name)[:] = 0
         names = tuple(f.name for f in fields(Trace))
         out = {name: np.zeros((*plan.shape[:2], self._batch.bind(name).shape[1])) for name in names}
         with contextlib.suppress(SimulationError):
             self._batch.rollout(plan.shape[1], plan, record=names, out=out)
         return Trace(**out)
 
-    def poses(self, state: State, xpos: Array | None = None, xmat: Array | None = None) -> Poses:
-        """Returns a state without its padding, with the cylinder as it is now, or in given body frames."""
-        xpos, xmat = self._xpos if xpos is None else xpos, self._xmat if xmat is None else xmat
-        cylinder = None
-        if (body := self.layout.cylinder) is not None:
-            yaw = np.arctan2(xmat[:, body, 3], xmat[:, body, 0])
-            cylinder = np.concatenate([xpos[:, body, :2], yaw[:, None]], axis=-1)
+    def poses(self, state: State) -> Poses:
+        """Returns a state without its padding."""
         segments, bodies = len(self.layout.segments), len(self.layout.bodies)
+        cylinder = None if self.layout.cylinder is None else state.cylinder
         return Poses(state.dlo[:, :segments], state.pusher, state.bodies[:, :bodies], cylinder)
 
     def speeds(self) -> dict[str, Array]:
@@ -127,7 +124,7 @@ class Probe(Simulator):
             mujoco.mj_kinematics(model, data)
             frames.append((data.xpos.copy(), data.xmat.copy()))
         xpos, xmat = (np.stack(part) for part in zip(*frames, strict=True))
-        return outline(self.domain, self.poses(observe(self.layout, xpos, xmat), xpos, xmat))
+        return outline(self.domain, self.poses(observe(self.layout, xpos, xmat)))
 
 
 @dataclass(frozen=True)
