@@ -19,7 +19,7 @@ from dlobench.domain import Domain
 from dlobench.errors import RunError, UsageError
 from dlobench.trajectories import Trajectories, geometry
 from dlobench.world import actions, overlaps, scene, starts
-from dlobench.world.state import MOMENTARY, Array, State, controls, fixed_point, observe, place
+from dlobench.world.state import LASTING, Array, State, controls, fixed_point, observe, place
 
 PUSHES = 20  # n_P, pushes a trajectory
 PENETRATION = 0.001  # m; a push that ends with things deeper in each other ends its trajectory
@@ -60,7 +60,7 @@ class Simulator:
         placed = [place(self.model, self.layout, self.domain, start) for start in begin]
         self._batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         self.failed[:] = False
-        for name in ("qpos", "plastic", "mocap_pos", "mocap_quat"):
+        for name in LASTING:
             self._batch.bind(name)[:] = np.stack([getattr(p, name) for p in placed])
         return self.push(np.zeros((len(placed), 2)))
 
@@ -75,8 +75,7 @@ class Simulator:
             raise UsageError(f"displacement {problem}, the batch needs two finite numbers a simulation: {needed}")
         qpos = self._batch.bind("qpos")
         plan = controls(qpos[:, self.layout.pusher_qpos], displacement, self.model.opt.timestep)
-        for name in MOMENTARY:
-            self._batch.bind(name)[:] = 0
+        self._restart()
         with contextlib.suppress(SimulationError):  # the others have finished; status says which raised
             self._batch.rollout(plan.shape[1], plan)
         self.failed |= (self._batch.status != 0) | self._batch.warning.reshape(len(self.failed), -1).any(axis=1)
@@ -84,6 +83,13 @@ class Simulator:
         state = observe(self.layout, self._xpos, self._xmat)
         self.failed |= impossible(self.domain, state)
         return state
+
+    def _restart(self) -> None:
+        """Wakes and stops everything, so that nothing but positions and plastic bends is carried over."""
+        kept = {name: self._batch.bind(name).copy() for name in LASTING}
+        self._batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+        for name, value in kept.items():
+            self._batch.bind(name)[:] = value
 
     def fixed_cylinders(self) -> Array | None:
         """Returns the (S, 2) places of the fixed cylinders, m, or None."""

@@ -21,7 +21,7 @@ PUSH_TIME = 0.3  # s, settling included
 MOVE_TIME = 0.24  # s, of which the pusher moves
 
 
-MOMENTARY = ("qvel", "act", "qacc_warmstart")  # what MuJoCo would carry from one push to the next beside positions
+LASTING = ("qpos", "plastic", "mocap_pos", "mocap_quat")  # what a push leaves to the next; all else is forgotten
 
 
 @dataclass(frozen=True)
