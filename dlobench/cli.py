@@ -10,16 +10,16 @@ import signal
 import sys
 import traceback
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from dlobench import __version__
+from dlobench.cli_board import leaderboard_app, show
 from dlobench.cli_look import Data, Workers, data_app, list_app, open_store
+from dlobench.cli_render import render
+from dlobench.cli_validate import validate
 from dlobench.errors import RunError, UsageError
-
-COMMITTED_RESULTS = Path("leaderboard/results")
-COMMITTED_BOARD = Path("leaderboard/leaderboard.csv")
 
 app = typer.Typer(
     help="A benchmark of models of deformable-object dynamics.",
@@ -28,10 +28,11 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-leaderboard_app = typer.Typer(help="Build the leaderboard.", no_args_is_help=True)
 app.add_typer(list_app, name="list")
 app.add_typer(data_app, name="data")
 app.add_typer(leaderboard_app, name="leaderboard")
+app.command()(render)
+app.command()(validate)
 
 Scale = Annotated[str, typer.Option(help="How much: mini (minutes), small (hours), paper (a cluster).")]
 
@@ -146,7 +147,7 @@ def run(
     )
     frame = leaderboard.table(results.read_all(out))
     leaderboard.write(frame, out / "leaderboard.csv")
-    _board(frame[frame["cell"].isin([cell.id for cell in record.cells]) & (frame["scale"] == record.scale)])
+    show(frame[frame["cell"].isin([cell.id for cell in record.cells]) & (frame["scale"] == record.scale)])
 
 
 @app.command()
@@ -161,46 +162,6 @@ def check(path: Annotated[str, typer.Argument(metavar="PATH", help="A model plug
         failed += not outcome.passed
     if failed:
         raise RunError(f"{path} breaks the contract in {failed} point{'s' * (failed > 1)}")
-
-
-@leaderboard_app.command("build")
-def leaderboard_build(
-    results: Annotated[Path | None, typer.Option(help=f"Folder of records. Default: {COMMITTED_RESULTS}.")] = None,
-    out: Annotated[Path | None, typer.Option(help="CSV to write. Default: leaderboard.csv beside the records.")] = None,
-) -> None:
-    """Build the leaderboard from the records. The same records give the same bytes."""
-    from dlobench.bench import leaderboard
-    from dlobench.bench.results import read_all
-
-    if out is not None and (out.suffix != ".csv" or (results in out.parents and out.parent != results)):
-        raise UsageError(f"--out {str(out)!r} is not a .csv file, or lies among the records")
-    frame = leaderboard.table(read_all(results or COMMITTED_RESULTS))
-    path = out or (results / "leaderboard.csv" if results else COMMITTED_BOARD)
-    leaderboard.write(frame, path)
-    typer.echo(f"{path}: {len(frame)} rows")
-
-
-def _board(frame: Any) -> None:
-    """Prints the rows of a leaderboard that matter to who has just run something."""
-    from dlobench.console import print_table
-
-    header = ["cell", "scale", "model", "config", "seeds", "skill", "MSE 1e-4 m²", "error mm", "parameters", "fit s"]
-    rows = [
-        [
-            row.cell,
-            row.scale,
-            row.model,
-            row.config,
-            str(row.seeds),
-            f"{round(row.skill, 3) + 0.0:.3f}",  # never -0.000
-            f"{row.mse_m2 * 1e4:.3f}",
-            f"{row.euclidean_m * 1e3:.2f}",
-            f"{row.parameters:,}",
-            f"{row.fit_s:.1f}",
-        ]
-        for row in frame.itertuples()
-    ]
-    print_table(header, rows)
 
 
 def _fail(message: str) -> None:

@@ -6,11 +6,12 @@ A `Domain` is what a model never sees. Everything here is SI: metres, kilograms,
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal, get_args
 
 import numpy as np
 
+from dlobench import ranges
 from dlobench.errors import UsageError
 
 Material = Literal["soft", "flexible", "elastoplastic"]
@@ -26,6 +27,7 @@ MAX_BOXES = 5  # boxes of the largest rigid shape
 BOX_SIZE = 0.015  # m, the edge of every box
 DLO_RADIUS = 0.0024  # m
 WORKSPACE = 0.25  # m, the edge of the square between the walls
+GRAVITY = 9.81  # m/s²
 
 LENGTHS = tuple(c / 100 for c in range(10, 17))  # m, whole centimetres
 SURFACE_FRICTION = (0.2, 0.8)
@@ -55,14 +57,30 @@ SHAPES: dict[str, tuple[tuple[int, int], ...]] = {
 }
 
 
-def _check_range(field: str, value: float, low: float, high: float, unit: str = "") -> None:
-    if not (math.isfinite(value) and low <= value <= high):
-        raise UsageError(f"{field} = {value!r} is outside {low:g}–{high:g}{unit and ' ' + unit}")
+def _whole_centimetres(length: object) -> float:
+    """Returns the length of `LENGTHS` that is meant, m."""
+    for whole in LENGTHS:
+        if isinstance(length, float | np.floating) and math.isclose(length, whole, abs_tol=1e-9):
+            return whole
+    raise UsageError(f"length = {ranges.shown(length)} m is not a whole centimetre from 0.10 to 0.16 m")
 
 
-def _check_choice(field: str, value: object, choices: tuple[str, ...]) -> None:
-    if value not in choices:
-        raise UsageError(f"{field} = {value!r} is not one of {', '.join(choices)}")
+def _set(frozen: object, **values: object) -> None:
+    """Writes checked values into a frozen dataclass that is being made, each in the type that its field promises."""
+    for name, value in values.items():
+        object.__setattr__(frozen, name, value)
+
+
+def _fields(what: str, cls: type, given: object) -> dict[str, Any]:
+    """Returns the fields of a JSON object; raises `UsageError` unless they are just those of the dataclass `cls`."""
+    names = [field.name for field in fields(cls)]
+    if not isinstance(given, dict):
+        raise UsageError(f"not a {what}: {ranges.shown(given)} has no fields, which are {', '.join(names)}")
+    for problem, wrong in (("missing", set(names) - set(given)), ("unknown", set(given) - set(names))):
+        if wrong:
+            found = ", ".join(sorted(map(ranges.shown, wrong))[:3])
+            raise UsageError(f"not a {what}: {problem} {found}; the fields are {', '.join(names)}")
+    return given
 
 
 @dataclass(frozen=True)
@@ -77,13 +95,17 @@ class RigidBody:
     friction: float
 
     def __post_init__(self) -> None:
-        _check_choice("shape", self.shape, tuple(SHAPES))
-        if len(self.densities) != len(SHAPES[self.shape]):
-            boxes = len(SHAPES[self.shape])
+        ranges.choice("shape", self.shape, tuple(SHAPES))
+        boxes = len(SHAPES[self.shape])
+        if not isinstance(self.densities, tuple | list):
+            raise UsageError(
+                f"densities = {ranges.shown(self.densities)} is not one number a box, {boxes} for {self.shape!r}"
+            )
+        if len(self.densities) != boxes:
             raise UsageError(f"densities holds {len(self.densities)} values, shape {self.shape!r} has {boxes} boxes")
-        for density in self.densities:
-            _check_range("box density", density, *BOX_DENSITY, "kg/m³")
-        _check_range("body friction", self.friction, *BODY_FRICTION)
+        densities = tuple(ranges.number("box density", density, *BOX_DENSITY, "kg/m³") for density in self.densities)
+        friction = ranges.number("body friction", self.friction, *BODY_FRICTION)
+        _set(self, densities=densities, friction=friction)
 
     def boxes(self) -> np.ndarray:
         """Returns the boxes about the centroid of the shape: (boxes, 5) x m, y m, yaw rad, half sizes m."""
@@ -111,19 +133,28 @@ class Domain:
     bodies: tuple[RigidBody, ...] = ()
 
     def __post_init__(self) -> None:
-        _check_range("surface_friction", self.surface_friction, *SURFACE_FRICTION)
-        if not any(math.isclose(self.length, length, abs_tol=1e-9) for length in LENGTHS):
-            raise UsageError(f"length = {self.length!r} m is not a whole centimetre from 0.10 to 0.16 m")
-        _check_range("density", self.density, *DLO_DENSITY, "kg/m³")
-        _check_choice("material", self.material, MATERIALS)
-        _check_range(f"bending_stiffness of {self.material}", self.bending_stiffness, *STIFFNESS[self.material], "N m²")
+        ranges.choice("material", self.material, MATERIALS)
+        ranges.choice("attachment", self.attachment, ATTACHMENTS)
         if (self.yield_curvature is not None) != (self.material == "elastoplastic"):
-            raise UsageError(f"yield_curvature = {self.yield_curvature!r} does not go with material {self.material!r}")
-        if self.yield_curvature is not None:
-            _check_range("yield_curvature", self.yield_curvature, *YIELD_CURVATURE, "1/m")
-        _check_choice("attachment", self.attachment, ATTACHMENTS)
+            given = ranges.shown(self.yield_curvature)
+            raise UsageError(f"yield_curvature = {given} does not go with material {self.material!r}")
+        if not isinstance(self.bodies, tuple | list) or not all(isinstance(body, RigidBody) for body in self.bodies):
+            raise UsageError(
+                f"bodies = {ranges.shown(self.bodies)} is not a tuple of rigid bodies, at most {MAX_BODIES}"
+            )
         if len(self.bodies) > MAX_BODIES:
             raise UsageError(f"bodies holds {len(self.bodies)} rigid bodies, at most {MAX_BODIES} are possible")
+        bending = f"bending_stiffness of {self.material}"
+        _set(
+            self,
+            surface_friction=ranges.number("surface_friction", self.surface_friction, *SURFACE_FRICTION),
+            length=_whole_centimetres(self.length),
+            density=ranges.number("density", self.density, *DLO_DENSITY, "kg/m³"),
+            bending_stiffness=ranges.number(bending, self.bending_stiffness, *STIFFNESS[self.material], "N m²"),
+            bodies=tuple(self.bodies),
+        )
+        if self.yield_curvature is not None:
+            _set(self, yield_curvature=ranges.number("yield_curvature", self.yield_curvature, *YIELD_CURVATURE, "1/m"))
 
     @property
     def segments(self) -> int:
@@ -136,13 +167,13 @@ class Domain:
         return {**asdict(self), "bodies": bodies}
 
     @staticmethod
-    def from_json(fields: dict[str, Any]) -> Domain:
-        """Builds a domain from what `to_json` wrote; raises `UsageError` on a missing or unknown field."""
-        try:
-            bodies = tuple(RigidBody(**{**b, "densities": tuple(b["densities"])}) for b in fields["bodies"])
-            return Domain(**{**fields, "bodies": bodies})
-        except (KeyError, TypeError) as error:
-            raise UsageError(f"not a domain: {error}") from error
+    def from_json(given: object) -> Domain:
+        """Builds a domain from what `to_json` wrote; raises `UsageError` on a missing, unknown or bad field."""
+        values = _fields("domain", Domain, given)
+        bodies = values["bodies"]
+        if isinstance(bodies, list):
+            bodies = [RigidBody(**_fields("rigid body", RigidBody, body)) for body in bodies]
+        return Domain(**{**values, "bodies": bodies})
 
 
 def sample_body(rng: np.random.Generator) -> RigidBody:
@@ -159,9 +190,10 @@ def sample(
 
     `length` is in m. Raises `UsageError` for a cell outside the documented ranges.
     """
-    _check_choice("material", material, MATERIALS)
-    if not 0 <= rigid_objects <= MAX_BODIES:
-        raise UsageError(f"rigid_objects = {rigid_objects!r} is outside 0–{MAX_BODIES}")
+    ranges.choice("material", material, MATERIALS)
+    ranges.choice("attachment", attachment, ATTACHMENTS)
+    length = _whole_centimetres(length)
+    rigid_objects = ranges.whole("rigid_objects", rigid_objects, 0, MAX_BODIES)
 
     def log_uniform(low: float, high: float) -> float:
         # math, not numpy: a definition must be the same to the last bit whatever vector instructions a CPU has

@@ -74,6 +74,24 @@ REFUSED: list[tuple[dict[str, Any], str, str]] = [
     ({"material": "elastoplastic", "yield_curvature": None}, "yield_curvature", "material 'elastoplastic'"),
     ({"material": "soft", "yield_curvature": 1.0}, "yield_curvature", "material 'soft'"),
     ({"attachment": "glued"}, "attachment", "none, movable, fixed"),
+    ({"surface_friction": "0.5"}, "surface_friction", "0.2–0.8"),
+    ({"surface_friction": None}, "surface_friction", "0.2–0.8"),
+    ({"surface_friction": [0.5]}, "surface_friction", "0.2–0.8"),
+    ({"density": 10**5000}, "density", "700–1400 kg/m³"),
+    ({"density": True}, "density", "700–1400 kg/m³"),
+    ({"density": 1000j}, "density", "700–1400 kg/m³"),
+    ({"length": "0.16"}, "length", "whole centimetre from 0.10 to 0.16 m"),
+    ({"length": 16}, "length", "0.10 to 0.16 m"),
+    ({"length": None}, "length", "0.10 to 0.16 m"),
+    ({"length": True}, "length", "0.10 to 0.16 m"),
+    ({"bending_stiffness": "stiff"}, "bending_stiffness of flexible", "3e-05–0.0002 N m²"),
+    ({"material": "elastoplastic", "yield_curvature": "1"}, "yield_curvature", "0.5–2 1/m"),
+    ({"material": None}, "material", "soft, flexible, elastoplastic"),
+    ({"material": ("soft",)}, "material", "soft, flexible, elastoplastic"),
+    ({"attachment": 1}, "attachment", "none, movable, fixed"),
+    ({"bodies": None}, "bodies", "at most 3"),
+    ({"bodies": "bar2"}, "bodies", "at most 3"),
+    ({"bodies": ("bar2",)}, "bodies", "at most 3"),
 ]
 
 
@@ -83,7 +101,8 @@ def test_a_domain_outside_its_ranges_is_refused(changes: dict[str, Any], field: 
         make(**changes)
     message = str(caught.value)
     assert field in message and allowed in message and "\n" not in message
-    assert repr(list(changes.values())[-1]) in message  # the value that is to blame stands last
+    blamed = list(changes.values())[-1]  # the value that is to blame stands last
+    assert (repr(blamed) if blamed != 10**5000 else "a huge int") in message
 
 
 def test_too_many_bodies_are_refused() -> None:
@@ -102,11 +121,15 @@ def test_too_many_bodies_are_refused() -> None:
         (("bar2", (math.nan, 2000.0), 0.5), ["density", "nan", "1200–8000 kg/m³"]),
         (("bar2", (2000.0, 2000.0), 0.19), ["friction", "0.19", "0.2–0.8"]),
         (("bar2", (2000.0, 2000.0), 0.81), ["friction", "0.81", "0.2–0.8"]),
+        (("bar2", (2000.0, "2000"), 0.5), ["density", "'2000'", "1200–8000 kg/m³"]),
+        (("bar2", 2000.0, 0.5), ["densities", "2000.0", "2 for 'bar2'"]),
+        (("bar2", None, 0.5), ["densities", "None", "2 for 'bar2'"]),
+        (("bar2", "ab", 0.5), ["densities", "'ab'", "2 for 'bar2'"]),
+        (("bar2", (2000.0, 2000.0), None), ["friction", "None", "0.2–0.8"]),
+        ((["bar2"], (2000.0, 2000.0), 0.5), ["shape", "['bar2']", "bar2, bar3"]),
     ],
 )
-def test_a_body_outside_its_ranges_is_refused(
-    fields: tuple[str, tuple[float, ...], float], expected: list[str]
-) -> None:
+def test_a_body_outside_its_ranges_is_refused(fields: tuple[Any, Any, Any], expected: list[str]) -> None:
     with pytest.raises(UsageError) as caught:
         RigidBody(*fields)
     message = str(caught.value)
@@ -128,6 +151,14 @@ def test_the_ends_of_the_ranges_are_inside() -> None:
                 bodies=(body,),
             )
             assert made.segments == (20, 32)[end]
+
+
+def test_what_means_the_same_is_the_same_domain() -> None:
+    plain = make(bodies=(RigidBody("bar2", (2000.0, 3000.0), 0.5),))
+    body = RigidBody("bar2", [2000, np.float64(3000.0)], np.float32(0.5))  # type: ignore[arg-type]
+    other = make(length=0.1 + 0.06, density=1000, surface_friction=np.float64(0.5), bodies=[body])
+    assert other == plain and hash(other) == hash(plain)
+    assert json.dumps(other.to_json()) == json.dumps(plain.to_json())  # so that digests are the same
 
 
 def test_segments_are_half_a_centimetre() -> None:
@@ -199,6 +230,13 @@ def test_samples_are_uniform_and_log_uniform() -> None:
         ({"length": 0.3}, "length = 0.3", "0.10 to 0.16 m"),
         ({"rigid_objects": 4}, "rigid_objects = 4", "0–3"),
         ({"rigid_objects": -1}, "rigid_objects = -1", "0–3"),
+        ({"rigid_objects": 1.5}, "rigid_objects = 1.5", "0–3"),
+        ({"rigid_objects": True}, "rigid_objects = True", "0–3"),
+        ({"rigid_objects": "2"}, "rigid_objects = '2'", "0–3"),
+        ({"rigid_objects": None}, "rigid_objects = None", "0–3"),
+        ({"length": "0.1"}, "length = '0.1'", "0.10 to 0.16 m"),
+        ({"length": 0.105}, "length = 0.105", "0.10 to 0.16 m"),
+        ({"length": math.nan}, "length = nan", "0.10 to 0.16 m"),
     ],
 )
 def test_a_cell_outside_the_ranges_is_refused(changes: dict[str, Any], field: str, allowed: str) -> None:
@@ -216,10 +254,42 @@ def test_json_that_is_not_a_domain_is_refused() -> None:
             Domain.from_json({key: value for key, value in fields.items() if key != name})
     with pytest.raises(UsageError, match=r"not a domain.*colour"):
         Domain.from_json({**fields, "colour": "red"})
-    with pytest.raises(UsageError, match=r"not a domain.*colour"):
+    with pytest.raises(UsageError, match=r"not a rigid body.*colour"):
         Domain.from_json({**fields, "bodies": [{**fields["bodies"][0], "colour": "red"}]})
     with pytest.raises(UsageError, match=r"density = 1\.0 is outside"):
         Domain.from_json({**fields, "density": 1.0})
+
+
+garbage = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8) | st.just(10**400),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=4),
+    max_leaves=6,
+)
+GOOD = make(material="elastoplastic", bodies=(UNEQUAL, UNEQUAL)).to_json()
+
+
+@st.composite
+def nearly_domains(draw: st.DrawFn) -> Any:
+    """Draws the JSON of a good domain in which some fields, its bodies' too, are garbage, missing or new."""
+    fields = {**GOOD, "bodies": [dict(body) for body in GOOD["bodies"]]}
+    for place in draw(st.lists(st.sampled_from([fields, *fields["bodies"]]), min_size=1, max_size=3)):
+        name = draw(st.sampled_from(sorted(place)) | st.text(max_size=5)) if place else "x"
+        if draw(st.booleans()):
+            place[name] = draw(garbage)
+        else:
+            place.pop(name, None)
+    return fields
+
+
+@settings(deadline=None, max_examples=300)
+@given(fields=garbage | nearly_domains())
+def test_garbage_is_refused_in_one_sentence(fields: Any) -> None:
+    try:
+        domain = Domain.from_json(fields)
+    except UsageError as error:
+        assert "\n" not in str(error) and 10 < len(str(error)) < 300
+    else:
+        assert Domain.from_json(json.loads(json.dumps(domain.to_json(), allow_nan=False))) == domain
 
 
 def grid(cells: Any) -> frozenset[tuple[int, int]]:

@@ -228,12 +228,11 @@ def test_hinges_are_as_stiff_as_the_length_they_stand_for(
 def bend(domain: Domain, hinge: int, angle: float) -> tuple[float, float, float]:
     """Bends one hinge slowly, in free space, and lets go: returns the bend, the moment that held it and what stays."""
     spec = scene.spec(domain)
-    spec.option.gravity = [0, 0, 0]
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     spec.option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     motor = spec.add_actuator(name="bender", target=f"bend{hinge}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
     motor.set_to_position(kp=5.0, kv=0.05)
-    model = spec.compile()
+    model = scene.compile(spec)
     hinges = model.jnt_dofadr[model.jnt_stiffness > 0]
     model.dof_damping[hinges] = 0.2 * model.jnt_stiffness[model.jnt_stiffness > 0]  # so that it does not swing for long
     data = mujoco.MjData(model)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from test_domain import UNEQUAL, make
 
 from dlobench.domain import DLO_RADIUS, MATERIALS, WORKSPACE, Domain, RigidBody
-from dlobench.errors import RunError
+from dlobench.errors import RunError, UsageError
 from dlobench.trajectories import Trajectories
 from dlobench.world import actions, env, simulate, starts
 from dlobench.world.scene import REACH
@@ -30,7 +30,7 @@ DOMAINS: dict[str, Domain] = {
     "fixed": make(material="elastoplastic", attachment="fixed"),
     "fixed-bodies": make(material="flexible", attachment="fixed", bodies=BODIES[:2], length=0.12),
 }
-SEEDS = [[seed] for seed in range(10)]
+SEEDS = [[5, trajectory] for trajectory in range(10)]
 PUSHES = 20
 
 
@@ -79,9 +79,10 @@ def test_bits_depend_on_domain_and_seed_alone(name: str, samples: dict[str, Samp
 def test_the_environment_gives_the_bits_of_the_batch(name: str, samples: dict[str, Sample]) -> None:
     domain, made = samples[name].domain, samples[name].made
     row = 1
-    world = env.make(domain, seed=SEEDS[row])
+    world = env.make(domain, seed=5)
+    world.reset()
     stream = Streams.of([*SEEDS[row], 0]).action
-    seen, commands = [world.reset().observation], []
+    seen, commands = [world.reset().observation], []  # its second episode
     for _ in range(8):
         now = seen[-1]
         dlo, fixed = now["dlo"][: domain.segments, :2], world.physics.fixed_cylinder()
@@ -126,7 +127,7 @@ def poison(monkeypatch: pytest.MonkeyPatch, calls: set[int]) -> None:
 
     def broken(domain: Domain, rng: np.random.Generator) -> starts.Start:
         start = sample(domain, rng)
-        return replace(start, pusher=np.full(2, np.nan)) if next(count) in calls else start
+        return replace(start, pusher=np.full(2, 1e12)) if next(count) in calls else start
 
     monkeypatch.setattr(starts, "sample", broken)
 
@@ -159,9 +160,8 @@ def test_a_failed_simulation_is_redrawn_and_counted(
     same(one, two)  # what comes instead depends on the seed alone, not on how the first one failed
     same(one.take(np.array([0, 2])), first(made, 4, [0, 2]))
     assert not np.array_equal(one.dlo[1], made.dlo[1, :5]) and np.isfinite(one.dlo).all()
-    again = env.make(domain, seed=SEEDS[1])
-    again.reset()
-    np.testing.assert_array_equal(again.reset().observation["dlo"].astype(np.float32), one.dlo[1, 0])
+    again = Simulator(domain, 1).reset([starts.sample(domain, Streams.of([*SEEDS[1], 1]).start)])
+    np.testing.assert_array_equal(again.dlo[0].astype(np.float32), one.dlo[1, 0])  # the second attempt
 
 
 def test_failures_in_several_attempts_are_all_counted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -174,8 +174,47 @@ def test_failures_in_several_attempts_are_all_counted(monkeypatch: pytest.Monkey
 def test_what_always_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(simulate, "RETRIES", 3)
     poison(monkeypatch, set(range(1, 100)))
-    with pytest.raises(RunError, match=r"^3 simulations in a row failed from seed \[1\] in Domain\(.*flexible.*\)$"):
+    with pytest.raises(RunError, match=r"^3 simulations in a row failed from seed \[5, 1\] in Domain\(.*flexible.*\)$"):
         simulate.simulate(DOMAINS["none"], SEEDS[:3], pushes=1)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"seeds": []}, "number of seeds = 0 is outside 1, 2, 3, …"),
+        ({"seeds": [[1, -2]]}, "seed = -2 is outside 0, 1, 2, …"),
+        ({"seeds": [[1.5]]}, "seed = 1.5 is not a whole number within 0, 1, 2, …"),
+        ({"seeds": ["7"]}, "seed = '7' is not a whole number within 0, 1, 2, …"),
+        ({"pushes": 0}, "pushes = 0 is outside 1, 2, 3, …"),
+        ({"pushes": 2.0}, "pushes = 2.0 is not a whole number within 1, 2, 3, …"),
+        ({"threads": 0}, "threads = 0 is outside 1, 2, 3, …"),
+        ({"threads": None}, "threads = None is not a whole number within 1, 2, 3, …"),
+    ],
+)
+def test_what_cannot_be_simulated_is_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError) as caught:
+        simulate.simulate(DOMAINS["none"], **{"seeds": [[1]], "pushes": 1, **changes})
+    assert str(caught.value) == message
+
+
+def test_sizes_that_do_not_fit_the_batch_are_refused() -> None:
+    with pytest.raises(UsageError, match=r"^simulations = 0 is outside 1, 2, 3, …$"):
+        Simulator(DOMAINS["none"], 0)
+    rng = np.random.default_rng(0)
+    simulator = Simulator(DOMAINS["none"], 2)
+    begin = [starts.sample(DOMAINS["none"], rng) for _ in range(2)]
+    with pytest.raises(UsageError, match=r"^1 starts do not fit a batch of 2 simulations$"):
+        simulator.reset(begin[:1])
+    shorter, crowded = (starts.sample(make(**change), rng) for change in ({"length": 0.1}, {"bodies": BODIES[:1]}))
+    with pytest.raises(UsageError, match=r"^bends of a start has shape \(20,\), a domain of 32 segments .* \(32,\)$"):
+        simulator.reset([begin[0], shorter])
+    with pytest.raises(UsageError, match=r"^bodies of a start has shape \(1, 3\), a domain of .* 0 rigid bodies .*$"):
+        simulator.reset([crowded, begin[0]])
+    state = simulator.reset(begin)
+    for wrong in (np.zeros(2), np.zeros((3, 2)), np.zeros((2, 3)), [[0.0, 0.0], [np.nan, 0.0]], [[0.0, 0.0]]):
+        with pytest.raises(UsageError, match=r"^displacement .*, the batch needs .*: \(2, 2\)$"):
+            simulator.push(np.asarray(wrong))
+    np.testing.assert_allclose(simulator.push(np.zeros((2, 2))).dlo, state.dlo, atol=1e-4)  # nothing was disturbed
 
 
 def test_executed_is_commanded_and_noise(samples: dict[str, Sample]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -10,8 +12,8 @@ import pytest
 from test_domain import UNEQUAL, make
 from test_scene import pairs, start
 
-from dlobench.domain import ATTACHMENTS, MATERIALS, WORKSPACE, Attachment, Material, RigidBody
-from dlobench.errors import RunError
+from dlobench.domain import ATTACHMENTS, MATERIALS, SHAPES, WORKSPACE, Attachment, Domain, Material, RigidBody
+from dlobench.errors import RunError, UsageError
 from dlobench.world import starts
 from dlobench.world.physics import Physics
 from dlobench.world.scene import REACH
@@ -119,6 +121,59 @@ def test_an_impossible_domain_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     domain = make(bodies=BODIES)
     with pytest.raises(RunError, match=r"no possible start in 30 draws for Domain\(.*bar4.*\)"):
         starts.sample(domain, np.random.default_rng(0))
+
+
+def test_everything_is_drawn_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A start that is kept in part would be likelier for what was kept."""
+    drawn: list[starts.Start] = []
+
+    def sixth(domain: Domain, start: starts.Start) -> bool:
+        drawn.append(start)
+        return len(drawn) == 6
+
+    monkeypatch.setattr(starts, "possible", sixth)
+    domain = make(attachment="fixed", bodies=BODIES[:1])
+    kept = starts.sample(domain, np.random.default_rng(2))
+    assert kept is drawn[-1]
+    for name in vars(kept):
+        values = [getattr(each, name)[1 if name == "bends" else 0 :] for each in drawn]
+        assert len({value.tobytes() for value in values}) == 6, name
+        assert all((a != b).all() for a, b in itertools.pairwise(values)), name
+
+
+def test_the_most_crowded_domains_have_starts_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two draws in a thousand are far more than what makes running out of draws unthinkable."""
+    count, draw = [0], starts._draw
+
+    def counted(domain: Domain, rng: np.random.Generator) -> starts.Start:
+        count[0] += 1
+        return draw(domain, rng)
+
+    monkeypatch.setattr(starts, "_draw", counted)
+    rng = np.random.default_rng(0)
+    for shape in ("bar4", "L5", "T5"):  # the widest
+        body = RigidBody(shape, (2000.0,) * len(SHAPES[shape]), 0.3)
+        domain = make(material="flexible", attachment="fixed", bodies=(body,) * 3)
+        for _ in range(5):
+            starts.sample(domain, rng)
+    assert count[0] < 15 / 0.002
+    assert (1 - 0.002) ** starts.ATTEMPTS < 1e-80
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"bends": [0.0] * 20}, r"bends of a start has shape \(20,\).* 32 segments .* 2 rigid bodies needs \(32,\)"),
+        ({"bodies": [[0.05, 0.05, 0.7]]}, r"bodies of a start has shape \(1, 3\).* needs \(2, 3\)"),
+        ({"root": [0.0, 0.0]}, r"root of a start has shape \(2,\).* needs \(3,\)"),
+        ({"pusher": [0.0, np.nan]}, r"pusher of a start = array\(\[.*nan\]\) is not finite"),
+    ],
+)
+def test_a_start_of_another_size_is_refused(change: dict[str, Any], message: str) -> None:
+    domain = make(attachment="movable", bodies=BODIES[:2])
+    starts.check(domain, start(domain))
+    with pytest.raises(UsageError, match=f"^{message}$"):
+        starts.check(domain, replace(start(domain), **{name: np.array(value) for name, value in change.items()}))
 
 
 def test_ropes_lie_bent_and_rods_nearly_straight() -> None:

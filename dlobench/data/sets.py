@@ -17,6 +17,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from dlobench import ranges
 from dlobench.domain import ATTACHMENTS, LENGTHS, MATERIALS, Attachment, Domain, Material, sample
 from dlobench.errors import UsageError
 from dlobench.world import VERSION as WORLD_VERSION
@@ -79,9 +80,12 @@ class DomainSet:
         """Names the folder of the set: everything that decides its bytes on one kind of CPU."""
         return f"{self.name}-v{self.version}-world{WORLD_VERSION}-mujoco{version('mujoco')}"
 
+    def __len__(self) -> int:
+        return len(self.cells) * self.per_cell
+
     def cell(self, index: int) -> Cell:
-        """Returns the cell that domain `index` belongs to."""
-        return self.cells[index // self.per_cell]
+        """Returns the cell that domain `index` belongs to; raises `UsageError` when the set has no such domain."""
+        return self.cells[ranges.whole(f"domain of {self.name}", index, 0, len(self) - 1) // self.per_cell]
 
     def domain(self, index: int) -> Domain:
         """Samples domain `index` from its own seed."""
@@ -156,6 +160,26 @@ def find(name: str) -> DomainSet:
     if name not in SETS:
         raise UsageError(f"unknown set {name!r}; there are: {', '.join(SETS)}")
     return SETS[name]
+
+
+def locate(domain_id: str) -> tuple[DomainSet, int]:
+    """Returns the set and the index that a domain's id, such as `meta-learning/17`, stands for.
+
+    Raises `UsageError` for an unknown set, an index that the set does not have, and what is no id.
+    """
+    name, _, index = domain_id.partition("/")
+    if not (name and index.isascii() and index.isdigit() and len(index) < 10):
+        sets = ", ".join(f"{of.name}/0–{len(of) - 1}" for of in SETS.values())
+        raise UsageError(f"domain id {ranges.shown(domain_id)} is not <set>/<number>; there are: {sets}")
+    of, number = find(name), int(index)
+    of.cell(number)
+    return of, number
+
+
+def domain(domain_id: str) -> Domain:
+    """Samples the domain that an id, such as `meta-learning/17`, stands for; raises `UsageError` as `locate` does."""
+    of, index = locate(domain_id)
+    return of.domain(index)
 
 
 def find_scale(name: str) -> ScaleName:

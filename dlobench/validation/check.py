@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 Effort = Literal["quick", "normal", "full"]
@@ -35,7 +35,7 @@ class Row:
 Check = Callable[[Effort], Iterator[Row]]
 
 
-def relative(
+def relative(  # noqa: PLR0917
     name: str, measured: float, reference: float, percent: float | None, unit: str = "", note: str = ""
 ) -> Row:
     """Returns a row whose error is |measured − reference| / |reference| in %."""
@@ -46,3 +46,10 @@ def relative(
 def at_most(name: str, measured: float, bound: float | None, unit: str = "", note: str = "") -> Row:
     """Returns a row whose reference is 0: the measured figure itself is the error."""
     return Row(name, measured, 0.0, measured, bound, unit, unit, note)
+
+
+def worst(name: str, rows: Sequence[Row]) -> Row:
+    """Returns the row with the largest error under another name; its note says which of how many it is."""
+    found = max(rows, key=lambda row: row.error if math.isfinite(row.error) else math.inf)
+    which = f"worst of {len(rows)}: {found.name}"
+    return replace(found, name=name, note=f"{which}; {found.note}" if found.note else which)

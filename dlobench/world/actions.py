@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from dlobench.domain import DLO_RADIUS
 from dlobench.errors import RunError
 from dlobench.world.chain import CYLINDER_RADIUS
 from dlobench.world.scene import PUSHER_RADIUS, REACH
@@ -20,6 +21,7 @@ SPREAD = 0.5  # rad, standard deviation of the direction about that of the close
 WANDER = 0.2  # share of the pushes whose direction is uniform, so that the pusher also leaves and comes round
 NOISE = 0.0005  # m, standard deviation of the execution noise along each axis
 NOISE_LIMIT = 3 * NOISE  # m, longer noise is redrawn
+ROOM = 4.5 * DLO_RADIUS  # m, kept free between the pusher and what cannot move: two DLOs fit in
 ATTEMPTS = 10_000
 
 
@@ -35,7 +37,7 @@ def feasible(pusher: Array, displacement: Array, fixed: Array | None) -> bool:
         return True  # it leads away, so that no noise brings the pusher closer than it is
     along = np.clip(towards / (displacement @ displacement), 0, 1)
     clearance = np.linalg.norm(pusher + along * displacement - fixed)
-    return bool(clearance > PUSHER_RADIUS + CYLINDER_RADIUS + NOISE_LIMIT)
+    return bool(clearance > PUSHER_RADIUS + CYLINDER_RADIUS + ROOM + NOISE_LIMIT)
 
 
 def draw(rng: np.random.Generator, pusher: Array, dlo: Array, fixed: Array | None) -> tuple[Array, int]:

@@ -1,6 +1,6 @@
-"""Says what touches what, and how: contact bits, the friction table, and the parts that carry weight.
+"""Says what touches what, and how: contact bits, the friction table, and the supports that stand on the table.
 
-Supports (small spheres) stand on the table or on a plate; solids meet solids. Nothing else touches.
+Supports carry weight; solids meet solids. Nothing else touches.
 """
 
 from __future__ import annotations
@@ -9,15 +9,21 @@ import math
 
 import mujoco
 
-from dlobench.domain import WORKSPACE, Domain
+from dlobench.domain import Domain
 
 SOLID_FRICTION = 0.3  # DLO on DLO, and the pusher, walls and cylinder on anything
-SUPPORT_RADIUS = 0.001  # m, spheres under bodies and cylinders
+SOLID_SOLREF, SOLID_SOLIMP = (0.01, 1.0), (0.99, 0.999, 0.001)
 
-# Contact bits: what carries weight, and what is solid.
-TABLE, DLO_PLATE, CYLINDER_PLATE, WALL, DLO, BODY, PUSHER = (1 << bit for bit in range(7))
-SOLID_SOLREF, SOLID_SOLIMP = (0.02, 1.0), (0.99, 0.999, 0.001)
-_SUPPORT_SOLREF, _SUPPORT_SOLIMP = (0.02, 1.0), (0.3, 0.3, 0.001)
+# Contact bits: the table, and what is solid.
+TABLE, WALL, DLO, BODY, PUSHER = (1 << bit for bit in range(5))
+
+# Sliding on the table is Coulomb's to 0.1 %. MuJoCo regularises friction: a support at rest slips with an acceleration
+# of up to SLIP, and one that slides presses harder by the ratio of its speed's change to SLIP × IMPRATIO.
+SLIP = 0.1  # m/s², about 1 % of gravity
+IMPRATIO = 2e6  # softness of the normal over that of friction; nothing moves along the normal, so it may be soft
+STICK = 5.0  # 1/steps, the rate at which a support that should rest stops
+TABLE_INVERSE_WEIGHT = 1e5  # 1/kg, so large that supports' softness does not depend on what they carry
+_SUPPORT_RADIUS = 0.001  # m
 
 
 def friction_table(domain: Domain) -> dict[str, float]:
@@ -35,44 +41,48 @@ def friction_table(domain: Domain) -> dict[str, float]:
     return table
 
 
-def add_support(body: mujoco.MjsBody, pos: tuple[float, float, float], radius: float, friction: float, on: int) -> None:
-    """Adds a sphere that stands on the table or on a plate, as the bit `on` says."""
+def add_table(out: mujoco.MjSpec, half: float) -> None:
+    """Adds the table that supports stand on, a square of 2 `half` m."""
+    out.worldbody.add_body(name="table").add_geom(
+        name="table",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[half, half, 0.01],
+        contype=TABLE,
+        conaffinity=0,
+        friction=[0, 0, 0],  # the supports say how much
+    )
+
+
+def add_support(
+    out: mujoco.MjSpec, body: mujoco.MjsBody, pos: tuple[float, float], *, height: float, load: float, friction: float
+) -> None:
+    """Adds a point of a body that stands on the table and carries `load` N, whatever happens in the plane.
+
+    `pos` is x m, y m in the body's frame, `height` m that of the frame above the table. The load is MuJoCo's adhesion:
+    friction is reckoned from it, and nothing moves vertically, so that nothing in the plane can change it.
+    """
     sphere = body.add_geom(
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
-        pos=list(pos),
-        size=[radius, 0, 0],
+        pos=[*pos, _SUPPORT_RADIUS - height],
+        size=[_SUPPORT_RADIUS, 0, 0],
+        margin=_SUPPORT_RADIUS,
         mass=0,
         contype=0,
-        conaffinity=on,
+        conaffinity=TABLE,
         priority=1,
         friction=[friction, 0, 0],
         group=3,
     )
-    sphere.solref[:2], sphere.solimp[:3] = _SUPPORT_SOLREF, _SUPPORT_SOLIMP
+    sphere.adhesion = load
+    softness = SLIP * IMPRATIO / load  # 1/kg, R of the normal row
+    impedance = TABLE_INVERSE_WEIGHT / (TABLE_INVERSE_WEIGHT + softness)
+    sphere.solref[:2] = 0.0, -impedance * STICK / out.option.timestep  # no spring: height does not matter
+    sphere.solimp[:3] = impedance, impedance, 0.001
 
 
-def add_plate(out: mujoco.MjSpec, name: str, mass: float, bit: int) -> None:
-    """Adds a plate whose top is the table, pressed upwards by the weight of `mass` and free to move only so."""
-    body = out.worldbody.add_body(name=name, gravcomp=2)
-    add_joints(body, name, "z")
-    body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=[0, 0, -0.01],
-        size=[WORKSPACE, WORKSPACE, 0.01],
-        mass=mass,
-        contype=bit,
-        conaffinity=0,
-        friction=[0, 0, 0],  # the supports say how much
-        group=4,
-    )
-
-
-def add_joints(body: mujoco.MjsBody, prefix: str, slides: str, hinges: str = "") -> None:
-    """Adds slides and hinges along axes, named `<prefix>_x`, … and `<prefix>_roll`, `_pitch`, `_yaw`."""
-    names = {"x": "roll", "y": "pitch", "z": "yaw"}
-    for axis in slides:
-        kind = mujoco.mjtJoint.mjJNT_SLIDE
-        body.add_joint(name=f"{prefix}_{axis}", type=kind, axis=[float(axis == a) for a in "xyz"])
-    for axis in hinges:
-        kind = mujoco.mjtJoint.mjJNT_HINGE
-        body.add_joint(name=f"{prefix}_{names[axis]}", type=kind, axis=[float(axis == a) for a in "xyz"])
+def add_joints(body: mujoco.MjsBody, prefix: str, pivot: tuple[float, float] = (0.0, 0.0)) -> None:
+    """Lets a body slide along x and y and turn about `pivot` (m, in its frame): `<prefix>_x`, `_y`, `_yaw`."""
+    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+    body.add_joint(name=f"{prefix}_x", type=slide, axis=[1, 0, 0])
+    body.add_joint(name=f"{prefix}_y", type=slide, axis=[0, 1, 0])
+    body.add_joint(name=f"{prefix}_yaw", type=hinge, axis=[0, 0, 1], pos=[*pivot, 0])

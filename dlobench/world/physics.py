@@ -9,7 +9,7 @@ from dm_control.rl import control
 from dlobench.domain import Domain
 from dlobench.world import scene
 from dlobench.world.starts import Start
-from dlobench.world.state import Array, State, controls, fixed_point, observe, place
+from dlobench.world.state import MOMENTARY, Array, State, controls, fixed_point, observe, place
 
 
 class Physics(control.Physics):  # type: ignore[misc]  # dm_control is untyped
@@ -43,7 +43,8 @@ class Physics(control.Physics):  # type: ignore[misc]  # dm_control is untyped
         """Plans a push by (2,) m from where the pusher is; returns the number of steps that it takes."""
         pusher = self.data.qpos[None, self.layout.pusher_qpos]
         self._plan = controls(pusher, displacement[None], self.timestep())[0]
-        self.data.act[:] = 0
+        for name in MOMENTARY:
+            getattr(self.data, name)[:] = 0
         return len(self._plan)
 
     def step(self, n_sub_steps: int = 1) -> None:

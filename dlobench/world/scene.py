@@ -1,10 +1,9 @@
 """Builds the MuJoCo scene of a domain. Pure: the same domain gives the same model, and no random number is drawn.
 
 The deformable linear object (DLO) is a planar chain of 5 mm capsules joined by plastic hinges (docs/adr/0002).
-Everything moves in the plane. Weight is carried apart from that: the DLO's supports (small spheres) are pressed by a
-plate that comes up from below with just the DLO's weight, so that no contact in the plane can lift or press a segment;
-a rigid body's supports hang on a foot that may sink and tilt, so that its weight presses where its mass is. Solids
-(capsules, boxes, walls) meet each other only. Friction coefficients follow one table, `contact.friction_table`.
+Everything moves in the plane, and only there. Weight is known beforehand: supports (small spheres) carry shares of it,
+and friction on the table is reckoned from them. Solids (capsules, boxes, walls) meet each other only. Friction
+coefficients follow one table, `contact.friction_table`.
 """
 
 from __future__ import annotations
@@ -19,15 +18,14 @@ from numpy.typing import NDArray
 from dlobench.domain import BOX_SIZE, DLO_RADIUS, WORKSPACE, Domain, RigidBody
 from dlobench.world import contact
 from dlobench.world.chain import add_dlo
+from dlobench.world.pressure import spread
 
-TIMESTEP = 0.01  # s
-GRAVITY = 9.81  # m/s²
+TIMESTEP = 0.004  # s; docs/adr/0008
 PUSHER_RADIUS = 0.0075  # m
-PUSHER_MASS = 0.1  # kg
-REACH = WORKSPACE / 2 - PUSHER_RADIUS - 2.5 * DLO_RADIUS  # m, the pusher's axis stays within: a DLO fits behind it
-PUSHER_FORCE = 1.2  # N, the bound of each of the two servos: the heaviest body resists with 1.1 N
-PUSHER_GAINS = {"kp": 1000.0, "kv": 20.0, "ki": 1e4, "imax": 3e-5}  # N/m, N s/m, N/(m s), m s
-FRAME_MASS = 1e-6  # kg, what MuJoCo wants in the planar frame of a body whose mass is all in its foot
+PUSHER_MASS = 0.02  # kg
+REACH = WORKSPACE / 2 - PUSHER_RADIUS - 4.5 * DLO_RADIUS  # m, the pusher's axis stays within: two DLOs fit behind it
+PUSHER_FORCE = 1.5  # N, the bound of each of the two servos: the heaviest body resists with 1.1 N
+PUSHER_GAINS = {"kp": 1000.0, "kv": 15.0, "ki": 1000.0, "imax": 1e-4}  # N/m, N s/m, N/(m s), m s
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,8 @@ class Layout:
     root_qpos: NDArray[np.intp]  # x, y, yaw of the DLO's first body; empty when it is fixed
     joint_qpos: NDArray[np.intp]  # the chain's hinges: segments − 1, one more with a cylinder
     joint_plastic: NDArray[np.intp]  # the same hinges in mjData.plastic
-    body_qpos: NDArray[np.intp]  # (bodies, 3) x, y, yaw
+    body_qpos: NDArray[np.intp]  # (bodies, 3) x, y, yaw, turning about the pivot
+    body_pivot: NDArray[np.float64]  # (bodies, 2) centre of mass in the body's frame, x m, y m
     pusher_qpos: NDArray[np.intp]  # x, y
 
 
@@ -49,28 +48,39 @@ def quiet(message: str) -> None:
     """Keeps MuJoCo from printing a warning and writing a log file: the warning counters say it to whoever steps."""
 
 
-def build(domain: Domain, timestep: float = TIMESTEP) -> mujoco.MjModel:
+def build(domain: Domain, timestep: float = TIMESTEP, fineness: int = 1) -> mujoco.MjModel:
     """Compiles the scene of a domain."""
-    return spec(domain, timestep).compile()
+    return compile(spec(domain, timestep, fineness))
 
 
-def spec(domain: Domain, timestep: float = TIMESTEP) -> mujoco.MjSpec:
-    """Returns the scene of a domain as an editable specification."""
+def compile(out: mujoco.MjSpec) -> mujoco.MjModel:  # noqa: A001  # what MuJoCo calls it
+    """Compiles a specification; to be used instead of its own `compile`, which knows nothing of the table."""
+    model = out.compile()
+    model.body_invweight0[model.body("table").id] = contact.TABLE_INVERSE_WEIGHT
+    return model
+
+
+def spec(domain: Domain, timestep: float = TIMESTEP, fineness: int = 1) -> mujoco.MjSpec:
+    """Returns the scene of a domain as an editable specification.
+
+    `fineness` divides every segment of the DLO, to see what the length of a segment does; worlds have 1.
+    """
     out = mujoco.MjSpec()
     out.compiler.degree = False
     out.option.timestep = timestep
-    out.option.gravity = [0, 0, -GRAVITY]
     out.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     out.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     out.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
-    out.option.impratio = 300  # stiff friction on soft supports: little creep, and sliding hardly lifts
+    out.option.tolerance = 1e-6  # tighter ones change no state by more than a micrometre, and cost a tenth
+    out.option.impratio = contact.IMPRATIO
     out.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP  # what lies still costs nothing and cannot creep
     out.default.geom.solref[:2] = contact.SOLID_SOLREF
     out.default.geom.solimp[:3] = contact.SOLID_SOLIMP
     out.default.geom.condim = 3
     friction = contact.friction_table(domain)
-    _add_box(out, friction)
-    add_dlo(out, domain, friction)
+    contact.add_table(out, WORKSPACE / 2)
+    _add_walls(out, friction)
+    add_dlo(out, domain, friction, fineness)
     for i, body in enumerate(domain.bodies):
         _add_body(out, i, body, friction)
     _add_pusher(out, friction)
@@ -83,11 +93,13 @@ def layout(model: mujoco.MjModel, domain: Domain) -> Layout:
     def qpos(*joints: str) -> NDArray[np.intp]:
         return np.array([model.joint(name).qposadr[0] for name in joints], dtype=np.intp)
 
+    names = {model.body(i).name for i in range(model.nbody)}
+    segments = sum(name.startswith("segment") for name in names)
     first = 0 if domain.attachment != "none" else 1
-    hinges = [f"bend{i}" for i in range(first, domain.segments)]
+    hinges = [f"bend{i}" for i in range(first, segments)]
     planar = [qpos(f"body{i}_x", f"body{i}_y", f"body{i}_yaw") for i in range(len(domain.bodies))]
     return Layout(
-        segments=np.array([model.body(f"segment{i}").id for i in range(domain.segments)], dtype=np.intp),
+        segments=np.array([model.body(f"segment{i}").id for i in range(segments)], dtype=np.intp),
         cylinder=None if domain.attachment == "none" else model.body("cylinder").id,
         bodies=np.array([model.body(f"body{i}").id for i in range(len(domain.bodies))], dtype=np.intp),
         pusher=model.body("pusher").id,
@@ -95,20 +107,13 @@ def layout(model: mujoco.MjModel, domain: Domain) -> Layout:
         joint_qpos=qpos(*hinges),
         joint_plastic=np.array([model.jnt_plasticadr[model.joint(name).id] for name in hinges], dtype=np.intp),
         body_qpos=np.array(planar, dtype=np.intp).reshape(-1, 3),
+        body_pivot=np.array([model.joint(f"body{i}_yaw").pos[:2] for i in range(len(domain.bodies))]).reshape(-1, 2),
         pusher_qpos=qpos("pusher_x", "pusher_y"),
     )
 
 
-def _add_box(out: mujoco.MjSpec, friction: dict[str, float]) -> None:
+def _add_walls(out: mujoco.MjSpec, friction: dict[str, float]) -> None:
     half = WORKSPACE / 2
-    out.worldbody.add_geom(
-        name="table",
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[half, half, 0.01],
-        contype=contact.TABLE,
-        conaffinity=0,
-        friction=[0, 0, 0],  # the supports say how much
-    )
     for name, x, y in (("west", 1, 0), ("east", -1, 0), ("south", 0, 1), ("north", 0, -1)):
         out.worldbody.add_geom(
             name=name,
@@ -130,37 +135,30 @@ def _facing(x: float, y: float) -> list[float]:
 
 
 def _add_body(out: mujoco.MjSpec, i: int, rigid: RigidBody, friction: dict[str, float]) -> None:
-    """Adds a composite body: solid boxes on a planar frame, mass and supports on its foot.
-
-    Four supports a box at the Gauss points integrate an affine pressure over the box, and its moments, exactly.
-    """
-    frame = out.worldbody.add_body(name=f"body{i}")
-    frame.explicitinertial = True
-    frame.mass, frame.inertia = FRAME_MASS, [FRAME_MASS * BOX_SIZE**2] * 3
-    contact.add_joints(frame, f"body{i}", "xy", "z")
-    foot = frame.add_body(name=f"foot{i}")
-    contact.add_joints(foot, f"foot{i}", "z", "xy")
-    gauss = BOX_SIZE / 2 / math.sqrt(3)
-    for (x, y, _, half, _), density in zip(rigid.boxes(), rigid.densities, strict=True):
-        box = {"type": mujoco.mjtGeom.mjGEOM_BOX, "pos": [x, y, BOX_SIZE / 2], "size": [half, half, BOX_SIZE / 2]}
-        frame.add_geom(
-            **box,
-            mass=0,
+    """Adds a composite body of boxes, which turns about its centre of mass, and the supports that it stands on."""
+    body = out.worldbody.add_body(name=f"body{i}")
+    boxes, densities = rigid.boxes(), np.array(rigid.densities)
+    centre = densities @ boxes[:, :2] / densities.sum()
+    contact.add_joints(body, f"body{i}", pivot=(float(centre[0]), float(centre[1])))
+    for (x, y, _, half, _), density in zip(boxes, densities, strict=True):
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[x, y, BOX_SIZE / 2],
+            size=[half, half, BOX_SIZE / 2],
+            density=density,
             contype=contact.BODY,
             conaffinity=contact.WALL | contact.DLO | contact.BODY,
             priority=1,
             friction=[friction[f"dlo-body{i}"], 0, 0],
         )
-        foot.add_geom(**box, density=density, contype=0, conaffinity=0, group=4)
-        for dx in (-gauss, gauss):
-            for dy in (-gauss, gauss):
-                spot = (x + dx, y + dy, contact.SUPPORT_RADIUS)
-                contact.add_support(foot, spot, contact.SUPPORT_RADIUS, friction[f"body{i}-table"], contact.TABLE)
+    for (x, y), load in zip(*spread(rigid), strict=True):
+        contact.add_support(out, body, (x, y), height=0, load=float(load), friction=friction[f"body{i}-table"])
 
 
 def _add_pusher(out: mujoco.MjSpec, friction: dict[str, float]) -> None:
     body = out.worldbody.add_body(name="pusher")
-    contact.add_joints(body, "pusher", "xy")
+    for axis, along in (("x", [1, 0, 0]), ("y", [0, 1, 0])):
+        body.add_joint(name=f"pusher_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=along)
     body.add_geom(
         name="pusher",
         type=mujoco.mjtGeom.mjGEOM_CAPSULE,

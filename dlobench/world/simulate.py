@@ -14,13 +14,15 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import NDArray
 
-from dlobench.domain import WORKSPACE, Domain
-from dlobench.errors import RunError
+from dlobench import ranges
+from dlobench.domain import Domain
+from dlobench.errors import RunError, UsageError
 from dlobench.trajectories import Trajectories, geometry
-from dlobench.world import actions, scene, starts
-from dlobench.world.state import Array, State, controls, fixed_point, observe, place
+from dlobench.world import actions, overlaps, scene, starts
+from dlobench.world.state import MOMENTARY, Array, State, controls, fixed_point, observe, place
 
 PUSHES = 20  # n_P, pushes a trajectory
+PENETRATION = 0.001  # m; a push that ends with things deeper in each other ends its trajectory
 RETRIES = 20  # derived seeds that a trajectory may use up before its domain is called broken
 
 
@@ -39,37 +41,48 @@ class Streams:
 
 
 class Simulator:
-    """Steps S simulations of one domain, push by push."""
+    """Steps S simulations of one domain, push by push; raises `UsageError` for what does not fit their number."""
 
     def __init__(self, domain: Domain, simulations: int, threads: int = 1, timestep: float = scene.TIMESTEP) -> None:
+        simulations, threads = ranges.whole("simulations", simulations, 1), ranges.whole("threads", threads, 1)
         mujoco.set_mju_user_warning(scene.quiet)
         self.domain = domain
         self.model = scene.build(domain, timestep)
         self.layout = scene.layout(self.model, domain)
         self._batch = Batch(self.model, simulations, threads, persistent=True)  # sleeping needs it
         self._xpos, self._xmat = self._batch.bind("xpos"), self._batch.bind("xmat")
-        self.failed = np.zeros(simulations, dtype=bool)  # raised, warned or went through a wall since the reset
+        self.failed = np.zeros(simulations, dtype=bool)  # since the reset: raised, warned, pressed solids together
 
     def reset(self, begin: Sequence[starts.Start]) -> State:
         """Places every simulation at its start, lets it settle for the time of a push, and returns the state."""
+        if len(begin) != len(self.failed):
+            raise UsageError(f"{len(begin)} starts do not fit a batch of {len(self.failed)} simulations")
+        placed = [place(self.model, self.layout, self.domain, start) for start in begin]
         self._batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         self.failed[:] = False
-        placed = [place(self.model, self.layout, self.domain, start) for start in begin]
         for name in ("qpos", "plastic", "mocap_pos", "mocap_quat"):
             self._batch.bind(name)[:] = np.stack([getattr(p, name) for p in placed])
         return self.push(np.zeros((len(placed), 2)))
 
     def push(self, displacement: Array) -> State:
-        """Moves every pusher by its (S, 2) m displacement and returns the state after the push."""
+        """Moves every pusher by its (S, 2) m displacement and returns the state after the push.
+
+        Every push begins at rest, so that positions (and what plastic bending left) are the whole state.
+        """
+        shape, needed = np.shape(displacement), (len(self.failed), 2)
+        if shape != needed or not np.isfinite(displacement).all():
+            problem = f"has shape {shape}" if shape != needed else "is not finite everywhere"
+            raise UsageError(f"displacement {problem}, the batch needs two finite numbers a simulation: {needed}")
         qpos = self._batch.bind("qpos")
         plan = controls(qpos[:, self.layout.pusher_qpos], displacement, self.model.opt.timestep)
-        self._batch.bind("act")[:] = 0
+        for name in MOMENTARY:
+            self._batch.bind(name)[:] = 0
         with contextlib.suppress(SimulationError):  # the others have finished; status says which raised
             self._batch.rollout(plan.shape[1], plan)
         self.failed |= (self._batch.status != 0) | self._batch.warning.reshape(len(self.failed), -1).any(axis=1)
         self._batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
         state = observe(self.layout, self._xpos, self._xmat)
-        self.failed |= _outside(state)
+        self.failed |= impossible(self.domain, state)
         return state
 
     def fixed_cylinders(self) -> Array | None:
@@ -77,11 +90,17 @@ class Simulator:
         return fixed_point(self.layout, self.domain, self._xpos)
 
 
-def _outside(state: State) -> NDArray[np.bool_]:
-    """Tells which simulations have squeezed a segment or a body through a wall, its centre first."""
-    places = np.concatenate([state.dlo[..., :2], state.bodies[..., :2]], axis=1)
-    outside: NDArray[np.bool_] = ~(np.abs(places) <= WORKSPACE / 2).all(axis=(1, 2))  # also where it is no number
-    return outside
+def impossible(domain: Domain, state: State) -> NDArray[np.bool_]:
+    """Tells which simulations (S,) have pressed things deeper into each other or a wall than solids may be."""
+    poses = overlaps.Poses(
+        dlo=state.dlo[:, : domain.segments],
+        pusher=state.pusher,
+        bodies=state.bodies[:, : len(domain.bodies)],
+        cylinder=None if domain.attachment == "none" else state.cylinder,
+    )
+    deepest = np.max(list(overlaps.depths(domain, poses).values()), axis=0)
+    wrong: NDArray[np.bool_] = ~(deepest <= PENETRATION) | (overlaps.crossings(domain, poses) > 0)  # also no number
+    return wrong
 
 
 @dataclass(frozen=True)
@@ -90,7 +109,7 @@ class Account:
 
     commands_redrawn: int  # infeasible commands
     commands: int  # feasible commands
-    trajectories_redrawn: int  # simulations that raised, warned or went through a wall
+    trajectories_redrawn: int  # simulations that raised, warned or pressed solids into each other
 
 
 def simulate(
@@ -98,9 +117,12 @@ def simulate(
 ) -> tuple[Trajectories, Account]:
     """Simulates one trajectory a seed, with biased pushes executed with noise.
 
-    A trajectory whose simulation raises, warns or goes through a wall is redrawn from its seed and the attempt's
-    number, and counted. Raises `RunError` when one fails too often.
+    A trajectory whose simulation raises, warns or presses solids into each other is redrawn from its seed and
+    the attempt's number, and counted. Raises `RunError` when one fails too often, and `UsageError` for a number that
+    makes no sense.
     """
+    seeds, pushes = [ranges.seed(seed) for seed in seeds], ranges.whole("pushes", pushes, 1)
+    ranges.whole("number of seeds", len(seeds), 1)
     done: dict[int, list[Array]] = {}
     missing = list(range(len(seeds)))
     commands = redrawn = failures = 0

@@ -6,13 +6,16 @@ starts that are kept follow the drawn distribution conditioned on being possible
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cache, cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dlobench.domain import DLO_RADIUS, SEGMENT_LENGTH, WORKSPACE, Domain, Material
-from dlobench.errors import RunError
+from dlobench import ranges
+from dlobench.domain import DLO_RADIUS, SEGMENT_LENGTH, WORKSPACE, Domain, Material, RigidBody
+from dlobench.errors import RunError, UsageError
 from dlobench.world.chain import APART, CYLINDER_RADIUS
 from dlobench.world.scene import PUSHER_RADIUS, REACH
 
@@ -44,6 +47,18 @@ def sample(domain: Domain, rng: np.random.Generator) -> Start:
     raise RunError(f"no possible start in {ATTEMPTS} draws for {domain}")
 
 
+def check(domain: Domain, start: Start) -> None:
+    """Raises `UsageError` unless a start has the sizes of a domain, and numbers only."""
+    bends, bodies = domain.segments, len(domain.bodies)
+    for name, shape in {"root": (3,), "bends": (bends,), "bodies": (bodies, 3), "pusher": (2,)}.items():
+        value = getattr(start, name)
+        if np.shape(value) != shape:
+            found, needed = np.shape(value), f"{bends} segments and {bodies} rigid bodies needs {shape}"
+            raise UsageError(f"{name} of a start has shape {found}, a domain of {needed}")
+        if not np.isfinite(value).all():
+            raise UsageError(f"{name} of a start = {ranges.shown(value)} is not finite")
+
+
 def chain(domain: Domain, start: Start) -> Array:
     """Returns the DLO's (segments + 1, 2) joint positions, m."""
     x, y, yaw = start.root
@@ -56,33 +71,26 @@ def chain(domain: Domain, start: Start) -> Array:
 
 
 def possible(domain: Domain, start: Start) -> bool:
-    """Tells whether all lies inside the walls and nothing overlaps."""
+    """Tells whether all lies inside the walls and nothing overlaps. What is cheap and often so is asked first."""
     dlo = chain(domain, start)
-    discs = [(start.pusher[None], PUSHER_RADIUS)]
-    if domain.attachment != "none":
-        discs.append((start.root[None, :2], CYLINDER_RADIUS))
-    boxes = [_place(body.boxes(), pose) for body, pose in zip(domain.bodies, start.bodies, strict=True)]
-    round_things = [(dlo, DLO_RADIUS), *discs]
-    reaches = [float(np.abs(points).max()) + radius for points, radius in round_things]
-    reaches += [float(np.abs(_corners(own)).max()) for own in boxes]
-    if max(reaches) > WORKSPACE / 2 - GAP or _dlo_overlaps(dlo, discs):
+    inside = WORKSPACE / 2 - GAP
+    if np.abs(dlo).max() > inside - DLO_RADIUS or np.abs(start.pusher).max() > inside - PUSHER_RADIUS:
         return False
-    return not any(
-        any(_box_distance(points, box) < radius + GAP for points, radius in round_things for box in own)
-        or any(_boxes_overlap(a, b) for other in boxes[:i] for a in own for b in other)
-        for i, own in enumerate(boxes)
-    )
-
-
-def _dlo_overlaps(dlo: Array, discs: list[tuple[Array, float]]) -> bool:
-    """Tells whether the DLO meets itself or a disc, or the discs (pusher, then the cylinder if any) each other."""
-    for i, (centre, radius) in enumerate(discs):
-        own = dlo if i == 0 else dlo[APART + 1 :]  # the cylinder holds the first segments
-        if _distance(centre, own) < radius + DLO_RADIUS + GAP:
-            return True
-        if any(np.linalg.norm(centre - other) < radius + more + GAP for other, more in discs[:i]):
-            return True
-    return _self_overlap(dlo)
+    discs = [(start.pusher, PUSHER_RADIUS, dlo)]  # place, radius, and the part of the DLO that it must not touch
+    if domain.attachment != "none":
+        if np.abs(start.root[:2]).max() > inside - CYLINDER_RADIUS:
+            return False
+        discs.append((start.root[:2], CYLINDER_RADIUS, dlo[APART + 1 :]))  # it holds the first segments
+    boxes = _Boxes.of(domain.bodies, start.bodies)
+    if len(boxes.owner) and (np.abs(boxes.corners).max() > inside or boxes.overlap()):
+        return False
+    if any(_distance(centre, line) < radius + DLO_RADIUS + GAP for centre, radius, line in discs):
+        return False
+    if len(discs) > 1 and np.linalg.norm(discs[0][0] - discs[1][0]) < PUSHER_RADIUS + CYLINDER_RADIUS + GAP:
+        return False
+    points = np.concatenate([dlo, *(centre[None] for centre, _, _ in discs)])
+    radii = np.array([DLO_RADIUS] * len(dlo) + [radius for _, radius, _ in discs])
+    return not boxes.meet(points, radii) and not _self_overlap(dlo)
 
 
 def _draw(domain: Domain, rng: np.random.Generator) -> Start:
@@ -107,55 +115,76 @@ def _draw(domain: Domain, rng: np.random.Generator) -> Start:
     )
 
 
-def _distance(points: Array, line: Array) -> float:
-    """Returns the least distance of (P, 2) points to a (Q, 2) polyline."""
-    a, step = line[:-1], np.diff(line, axis=0)
-    along = np.einsum("pqd,qd->pq", points[:, None] - a, step) / np.einsum("qd,qd->q", step, step)
-    nearest = a + np.clip(along, 0, 1)[..., None] * step
-    return float(np.linalg.norm(points[:, None] - nearest, axis=-1).min())
+def _distance(point: Array, line: Array) -> float:
+    """Returns the least distance of a (2,) point to a (Q, 2) polyline."""
+    first, step = line[:-1], line[1:] - line[:-1]
+    along = ((point - first) * step).sum(axis=-1) / (step * step).sum(axis=-1)
+    away = first + np.clip(along, 0, 1)[:, None] * step - point
+    return math.sqrt((away * away).sum(axis=-1).min())
 
 
 def _self_overlap(dlo: Array) -> bool:
     """Tells whether segments far enough apart along the DLO come closer than their diameter."""
-    middle = (dlo[1:] + dlo[:-1]) / 2
-    apart = np.linalg.norm(middle[:, None] - middle, axis=-1)
-    order = np.arange(len(middle))
-    far = np.abs(order[:, None] - order) > APART
+    x, y = (dlo[1:] + dlo[:-1]).T / 2
+    one, other = _far(len(x))
     # Centres within a segment's length of each other may hide a crossing; demand room for it.
-    return bool((apart[far] < 2 * DLO_RADIUS + GAP + SEGMENT_LENGTH / 2).any())
+    room = 2 * DLO_RADIUS + GAP + SEGMENT_LENGTH / 2
+    return bool(((x[one] - x[other]) ** 2 + (y[one] - y[other]) ** 2).min() < room**2)
 
 
-def _place(boxes: Array, pose: Array) -> Array:
-    """Returns (boxes, 5) moved from a body's frame to its pose (x, y, yaw)."""
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    out = boxes.copy()
-    out[:, :2] = boxes[:, :2] @ np.array([[c, s], [-s, c]]) + pose[:2]
-    out[:, 2] += pose[2]
-    return out
+@cache
+def _far(segments: int) -> tuple[NDArray[np.intp], ...]:
+    """Returns the pairs of segments that may meet: two arrays of indices."""
+    return np.triu_indices(segments, APART + 1)
 
 
-def _corners(boxes: Array) -> Array:
-    """Returns the (boxes, 4, 2) corners of (boxes, 5) boxes."""
-    signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
-    local = boxes[:, None, 3:] * signs
-    c, s = np.cos(boxes[:, 2])[:, None], np.sin(boxes[:, 2])[:, None]
-    turned = np.stack([c * local[..., 0] - s * local[..., 1], s * local[..., 0] + c * local[..., 1]], axis=-1)
-    return turned + boxes[:, None, :2]
+@lru_cache(maxsize=8)
+def _local(bodies: tuple[RigidBody, ...]) -> tuple[NDArray[np.intp], Array]:
+    """Returns which body each of N boxes belongs to, and (5, N) x m, y m, yaw rad and half sizes m in its frame."""
+    boxes = [body.boxes() for body in bodies]
+    owner = np.repeat(np.arange(len(boxes)), [len(own) for own in boxes])
+    return owner, np.concatenate([np.zeros((0, 5)), *boxes]).T
 
 
-def _box_distance(points: Array, box: Array) -> float:
-    """Returns the least distance of (P, 2) points to one box, 0 inside."""
-    c, s = np.cos(box[2]), np.sin(box[2])
-    local = (points - box[:2]) @ np.array([[c, -s], [s, c]])
-    return float(np.linalg.norm(np.maximum(np.abs(local) - box[3:], 0), axis=-1).min())
+@dataclass(frozen=True)
+class _Boxes:
+    """Holds the N boxes of all rigid bodies in their places."""
 
+    owner: NDArray[np.intp]  # (N,)  which body a box belongs to
+    centre: Array  # (N, 2)  m
+    axes: Array  # (N, 2, 2)  the directions of a box's sides
+    half: Array  # (N, 2)  half sizes, m
 
-def _boxes_overlap(a: Array, b: Array) -> bool:
-    """Tells whether two boxes come closer than the gap, by separating axes."""
-    first, second = _corners(np.stack([a, b]))
-    for yaw in (a[2], a[2] + np.pi / 2, b[2], b[2] + np.pi / 2):
-        axis = np.array([np.cos(yaw), np.sin(yaw)])
-        p, q = first @ axis, second @ axis
-        if p.min() > q.max() + GAP or q.min() > p.max() + GAP:
-            return False
-    return True
+    @staticmethod
+    def of(bodies: tuple[RigidBody, ...], poses: Array) -> _Boxes:
+        """Places the boxes of bodies at (bodies, 3) x m, y m, yaw rad."""
+        owner, (x, y, yaw, *half) = _local(bodies)
+        at, turn = poses[owner], poses[owner, 2]
+        c, s = np.cos(turn), np.sin(turn)
+        centre = np.stack([c * x - s * y, s * x + c * y], axis=-1) + at[:, :2]
+        c, s = np.cos(turn + yaw), np.sin(turn + yaw)
+        return _Boxes(owner, centre, np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2), np.stack(half, axis=-1))
+
+    @cached_property
+    def corners(self) -> Array:
+        """Returns the (N, 4, 2) corners, m."""
+        along, across = np.moveaxis(self.half[:, :, None] * self.axes, 1, 0)[:, :, None]
+        signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
+        corners: Array = self.centre[:, None] + signs[:, :1] * along + signs[:, 1:] * across
+        return corners
+
+    def overlap(self) -> bool:
+        """Tells whether boxes of two bodies come closer than the gap, by separating axes."""
+        N = len(self.owner)
+        shadow = self.corners.reshape(-1, 2) @ self.axes.reshape(-1, 2).T  # of every corner on every box's axes
+        low, high = (edge(shadow.reshape(N, 4, N, 2), axis=1) for edge in (np.min, np.max))
+        mine = np.arange(N)
+        low_own, high_own = low[mine, mine], high[mine, mine]  # of a box on its own axes
+        apart = ((low > high_own + GAP) | (low_own > high + GAP)).any(axis=-1)
+        return bool((~(apart | apart.T) & (self.owner[:, None] != self.owner)).any())
+
+    def meet(self, points: Array, radii: Array) -> bool:
+        """Tells whether a disc, at (P, 2) m with radius (P,) m, comes closer to a box than the gap."""
+        offset = points[:, None] - self.centre
+        outside = np.maximum(np.abs((offset[:, :, None] * self.axes).sum(axis=-1)) - self.half, 0)
+        return bool(((outside * outside).sum(axis=-1) < (radii[:, None] + GAP) ** 2).any())

@@ -13,12 +13,15 @@ from numpy.typing import NDArray
 
 from dlobench.domain import MAX_BODIES, MAX_SEGMENTS, Domain
 from dlobench.world.scene import Layout
-from dlobench.world.starts import Start
+from dlobench.world.starts import Start, check
 
 Array = NDArray[np.float64]
 
 PUSH_TIME = 0.3  # s, settling included
-MOVE_TIME = 0.2  # s, of which the pusher moves
+MOVE_TIME = 0.24  # s, of which the pusher moves
+
+
+MOMENTARY = ("qvel", "act", "qacc_warmstart")  # what MuJoCo would carry from one push to the next beside positions
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,7 @@ class State:
     dlo: Array  # (S, 32, 3)  segment centres x m, y m, yaw rad
     pusher: Array  # (S, 2)  x m, y m
     bodies: Array  # (S, 3, 3)  x m, y m, yaw rad
+    cylinder: Array  # (S, 3)  where an attached DLO ends: x m, y m, yaw rad; 0 without
 
 
 @dataclass(frozen=True)
@@ -41,7 +45,8 @@ class Placement:
 
 
 def place(model: mujoco.MjModel, layout: Layout, domain: Domain, start: Start) -> Placement:
-    """Writes a start as MuJoCo's positions and plastic state."""
+    """Writes a start as MuJoCo's positions and plastic state; raises `UsageError` for one of another domain's sizes."""
+    check(domain, start)
     qpos, plastic = model.qpos0.copy(), np.zeros(len(layout.joint_plastic))
     # Without a cylinder the first segment has no clamped hinge; the root is its end, its body frame its centre.
     bends = start.bends if domain.attachment != "none" else start.bends[1:]
@@ -57,7 +62,12 @@ def place(model: mujoco.MjModel, layout: Layout, domain: Domain, start: Start) -
     else:
         half = float(model.geom("segment0").size[1])
         qpos[layout.root_qpos] = [x + half * np.cos(yaw), y + half * np.sin(yaw), yaw]
+    # A body turns about its centre of mass; its slides are what is left to bring its frame to its place.
+    c, s = np.cos(start.bodies[:, 2:]), np.sin(start.bodies[:, 2:])
+    px, py = layout.body_pivot[:, :1], layout.body_pivot[:, 1:]
+    turned = np.concatenate([c * px - s * py, s * px + c * py], axis=1)
     qpos[layout.body_qpos] = start.bodies
+    qpos[layout.body_qpos[:, :2]] += turned - layout.body_pivot
     qpos[layout.pusher_qpos] = start.pusher
     return Placement(qpos, plastic, mocap_pos, mocap_quat)
 
@@ -70,7 +80,8 @@ def observe(layout: Layout, xpos: Array, xmat: Array) -> State:
     dlo, bodies = np.zeros((S, MAX_SEGMENTS, 3)), np.zeros((S, MAX_BODIES, 3))
     dlo[:, : len(layout.segments)] = poses[:, layout.segments]
     bodies[:, : len(layout.bodies)] = poses[:, layout.bodies]
-    return State(dlo=dlo, pusher=poses[:, layout.pusher, :2], bodies=bodies)
+    cylinder = np.zeros((S, 3)) if layout.cylinder is None else poses[:, layout.cylinder]
+    return State(dlo=dlo, pusher=poses[:, layout.pusher, :2], bodies=bodies, cylinder=cylinder)
 
 
 def fixed_point(layout: Layout, domain: Domain, xpos: Array) -> Array | None:
@@ -81,10 +92,11 @@ def fixed_point(layout: Layout, domain: Domain, xpos: Array) -> Array | None:
 def controls(pusher: Array, displacement: Array, timestep: float) -> Array:
     """Returns the servos' set-points of one push: (S, steps, 4) x m, vx m/s, y m, vy m/s at every step.
 
-    The pusher starts and ends its move of 0.2 s at rest (cubic in time), then holds.
+    The pusher moves for 0.25 s, fastest after a third of it, and comes to rest so gently that what it pushes stays with
+    it at the least friction; then it holds.
     """
     steps = round(PUSH_TIME / timestep)
     t = np.clip((np.arange(steps) + 1) * timestep / MOVE_TIME, 0, 1)[:, None]
-    position = pusher[:, None] + (3 * t**2 - 2 * t**3) * displacement[:, None]
-    velocity = 6 * (t - t**2) / MOVE_TIME * displacement[:, None]
+    position = pusher[:, None] + t**2 * (6 - 8 * t + 3 * t**2) * displacement[:, None]
+    velocity = 12 * t * (1 - t) ** 2 / MOVE_TIME * displacement[:, None]
     return np.stack([position, velocity], axis=-1).reshape(len(pusher), steps, 4)

@@ -20,7 +20,8 @@ DOMAINS = [
     sample(np.random.default_rng([2021, i]), material=material, attachment=ATTACHMENTS[i], length=0.16, rigid_objects=3)
     for i, material in enumerate(MATERIALS)
 ]
-SEEDS = [[seed] for seed in range(8)]
+SEED = 0
+SEEDS = [[SEED, trajectory] for trajectory in range(8)]
 
 
 @pytest.fixture(scope="module")
@@ -42,8 +43,8 @@ def test_environment(benchmark: Any, reference: list[Trajectories]) -> None:
     def play() -> Any:
         seen = []
         for domain, made in zip(DOMAINS, reference, strict=True):
-            for seed, row in zip(SEEDS, made.commanded, strict=True):
-                world = env.make(domain, seed)
+            world = env.make(domain, SEED)
+            for row in made.commanded:
                 world.reset()
                 seen.append([world.step(command.astype(float)).observation["dlo"] for command in row])
         return np.array(seen)

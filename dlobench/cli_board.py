@@ -1,0 +1,55 @@
+"""Speaks the verb `dlobench leaderboard build`, and prints rows of a leaderboard."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from dlobench.errors import UsageError
+
+COMMITTED_RESULTS = Path("leaderboard/results")
+COMMITTED_BOARD = Path("leaderboard/leaderboard.csv")
+
+leaderboard_app = typer.Typer(help="Build the leaderboard.", no_args_is_help=True)
+
+
+@leaderboard_app.command("build")
+def leaderboard_build(
+    results: Annotated[Path | None, typer.Option(help=f"Folder of records. Default: {COMMITTED_RESULTS}.")] = None,
+    out: Annotated[Path | None, typer.Option(help="CSV to write. Default: leaderboard.csv beside the records.")] = None,
+) -> None:
+    """Build the leaderboard from the records. The same records give the same bytes."""
+    from dlobench.bench import leaderboard
+    from dlobench.bench.results import read_all
+
+    if out is not None and (out.suffix != ".csv" or (results in out.parents and out.parent != results)):
+        raise UsageError(f"--out {str(out)!r} is not a .csv file, or lies among the records")
+    frame = leaderboard.table(read_all(results or COMMITTED_RESULTS))
+    path = out or (results / "leaderboard.csv" if results else COMMITTED_BOARD)
+    leaderboard.write(frame, path)
+    typer.echo(f"{path}: {len(frame)} rows")
+
+
+def show(frame: Any) -> None:
+    """Prints the rows of a leaderboard that matter to who has just run something."""
+    from dlobench.console import print_table
+
+    header = ["cell", "scale", "model", "config", "seeds", "skill", "MSE 1e-4 m²", "error mm", "parameters", "fit s"]
+    rows = [
+        [
+            row.cell,
+            row.scale,
+            row.model,
+            row.config,
+            str(row.seeds),
+            f"{round(row.skill, 3) + 0.0:.3f}",  # never -0.000
+            f"{row.mse_m2 * 1e4:.3f}",
+            f"{row.euclidean_m * 1e3:.2f}",
+            f"{row.parameters:,}",
+            f"{row.fit_s:.1f}",
+        ]
+        for row in frame.itertuples()
+    ]
+    print_table(header, rows)
