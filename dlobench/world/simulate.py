@@ -142,18 +142,18 @@ def simulate(
             break
     else:
         raise RunError(f"{RETRIES} simulations in a row failed from seed {list(seeds[missing[0]])} in {domain}")
-    dlo, pusher, bodies, commanded, executed = (
-        np.stack([done[i][f] for i in range(len(seeds))]).astype(np.float32) for f in range(5)
+    dlo, pusher, bodies, cylinder, commanded, executed = (
+        np.stack([done[i][f] for i in range(len(seeds))]).astype(np.float32) for f in range(6)
     )
     dlo_mask, body_mask, boxes = geometry(domain)
-    trajectories = Trajectories(dlo, dlo_mask, pusher, bodies, body_mask, boxes, commanded, executed)
+    trajectories = Trajectories(dlo, dlo_mask, pusher, bodies, body_mask, boxes, commanded, executed, cylinder)
     return trajectories, Account(redrawn, commands, failures)
 
 
 def _attempt(
     domain: Domain, seeds: Sequence[Sequence[int]], threads: int, pushes: int
 ) -> tuple[list[Array], int, int, NDArray[np.bool_]]:
-    """Returns the five recorded arrays (S first), how many commands were drawn and redrawn, and who failed."""
+    """Returns the six recorded arrays (S first), how many commands were drawn and redrawn, and who failed."""
     streams = [Streams.of(seed) for seed in seeds]
     simulator = Simulator(domain, len(seeds), threads)
     state = simulator.reset([starts.sample(domain, s.start) for s in streams])
@@ -173,5 +173,5 @@ def _attempt(
         states.append(state)
         commanded.append(command)
         executed.append(command + noise)
-    poses = [np.stack([getattr(s, name) for s in states], axis=1) for name in ("dlo", "pusher", "bodies")]
+    poses = [np.stack([getattr(s, name) for s in states], axis=1) for name in ("dlo", "pusher", "bodies", "cylinder")]
     return [*poses, np.stack(commanded, axis=1), np.stack(executed, axis=1)], drawn, redrawn, simulator.failed
