@@ -9,7 +9,17 @@ import mujoco
 import numpy as np
 import pytest
 
-from dlobench.domain import ATTACHMENTS, BOX_SIZE, DLO_RADIUS, SEGMENT_LENGTH, Attachment, Domain, Material, sample
+from dlobench.domain import (
+    ATTACHMENTS,
+    BOX_SIZE,
+    DLO_RADIUS,
+    GRAVITY,
+    SEGMENT_LENGTH,
+    Attachment,
+    Domain,
+    Material,
+    sample,
+)
 from dlobench.validation import balls, flex_rod, rods
 from dlobench.validation.peers import Peer
 from dlobench.world import chain, scene, starts
@@ -49,10 +59,10 @@ def test_starts_as_the_shipped_scene_does_and_stays(make: Make, attachment: Atta
     start = starts.sample(domain, np.random.default_rng(3))
     peer = make(domain, start)
     joints = starts.chain(domain, start)
-    for state, tolerance in ((peer.placed, 1e-9), (peer.state(), 1e-4)):
+    for state, tolerance in ((peer.placed, 1e-9), (peer.state(), 5e-4)):
         np.testing.assert_allclose(state.dlo[0, :, :2], (joints[1:] + joints[:-1]) / 2, atol=tolerance)
-        np.testing.assert_allclose(state.bodies[0, :2], start.bodies, atol=max(tolerance, 1e-3))
-        np.testing.assert_allclose(state.pusher[0], start.pusher, atol=max(tolerance, 1e-4))
+        np.testing.assert_allclose(state.bodies[0, :2], start.bodies, atol=2 * tolerance)
+        np.testing.assert_allclose(state.pusher[0], start.pusher, atol=tolerance)
     assert not peer.warned
 
 
@@ -66,55 +76,49 @@ def test_table_carries_the_weight(make: Make, attachment: Attachment, objects: i
     if attachment == "movable":
         masses.append(chain.CYLINDER_DENSITY * math.pi * chain.CYLINDER_RADIUS**2 * chain.CYLINDER_HEIGHT)
     peer = make(domain, starts.sample(domain, np.random.default_rng(4)), sleep=False)
-    assert pressed(peer) == pytest.approx(scene.GRAVITY * sum(masses), rel=0.015)
+    assert pressed(peer) == pytest.approx(GRAVITY * sum(masses), rel=0.015)
+
+
+def cantilever(make: Make, domain: Domain) -> Peer:
+    """Returns a straight rod in the air, held at its fixed end and weightless."""
+    start = starts.Start(np.zeros(3), np.zeros(domain.segments), np.zeros((0, 3)), np.array([0.0, -0.1]))
+    peer = make(domain, start, sleep=False)
+    peer.model.opt.gravity[:] = 0
+    peer.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    return peer
+
+
+def bend(peer: Peer, force: float, steps: int) -> float:
+    """Pulls the middle of the last segment along y (N), and returns how far (m) it is from the axis after that."""
+    last = peer.domain.segments - 1
+    ends = [f"vertex{last}", f"vertex{last + 1}"] if peer.model.nflex else [f"segment{last}"]  # at its centre of mass
+    for name in ends:
+        peer.data.xfrc_applied[peer.model.body(name).id, 1] = force / len(ends)
+    mujoco.mj_step(peer.model, peer.data, steps)
+    return float(peer.state().dlo[0, last, 1])
 
 
 @EITHER
 def test_cantilever_bends_as_its_stiffness_says(make: Make) -> None:
-    """A small load at the last segment's middle: F a³ / 3 EI, with the clamp at the cylinder's face."""
+    """F a³ / 3 EI, the clamp being at the cylinder's face."""
     domain = world("flexible", "fixed")
-    peer = make(domain, straight(domain, pusher=(0.0, -0.1)), sleep=False)
-    peer.model.opt.gravity[:] = 0
-    peer.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     arm = domain.length - SEGMENT_LENGTH / 2
-    deflection = 0.02 * arm
-    force = 3 * domain.bending_stiffness * deflection / arm**3
-    before = peer.state().dlo[0, domain.segments - 1, 1]
-    pull(peer, force)
-    for _ in range(1000):
-        mujoco.mj_step(peer.model, peer.data)
-    assert peer.state().dlo[0, domain.segments - 1, 1] - before == pytest.approx(deflection, rel=0.01)
+    force = 3 * domain.bending_stiffness * 0.02 / arm**2
+    assert bend(cantilever(make, domain), force, steps=1000) == pytest.approx(0.02 * arm, rel=0.01)
 
 
-def pull(peer: Peer, force: float) -> None:
-    """Pulls the middle of the last segment along y by a constant force (N)."""
-    if peer.model.nflex:
-        ends = [f"vertex{peer.domain.segments - i}" for i in range(2)]
-        for name in ends:
-            peer.data.xfrc_applied[peer.model.body(name).id, 1] = force / 2
-    else:
-        last = peer.model.body(f"segment{peer.domain.segments - 1}").id
-        peer.data.xfrc_applied[last, 1] = force  # acts at the centre of mass
+def test_both_rods_swing_back_alike() -> None:
+    """Mass, stiffness and damping agree: a cantilever let go comes back on the same course in both.
 
-
-def test_both_rods_swing_alike() -> None:
-    """Mass, stiffness and damping agree: a cantilever let go follows the same course in both."""
-    domain = world("flexible", "fixed")
+    Only nearly: MuJoCo 4.0's flex is undamped while it passes through its straight shape.
+    """
     courses = []
     for make in (rods.make, balls.make):
-        peer = make(domain, straight(domain, pusher=(0.0, -0.1)), timestep=0.001, sleep=False)
-        peer.model.opt.gravity[:] = 0
-        peer.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-        pull(peer, 0.002)
-        course = []
-        for step in range(300):
-            if step == 100:
-                peer.data.xfrc_applied[:] = 0
-            mujoco.mj_step(peer.model, peer.data)
-            if step % 10 == 0:
-                course.append(peer.state().dlo[0, domain.segments - 1, 1])
-        courses.append(course)
-    np.testing.assert_allclose(courses[0], courses[1], atol=0.03 * np.abs(courses[0]).max())
+        peer = cantilever(make, world("flexible", "fixed"))
+        bend(peer, 0.002, steps=1000)
+        courses.append([bend(peer, 0, steps=5) for _ in range(15)])
+    np.testing.assert_allclose(courses[0], courses[1], atol=0.01 * courses[0][0])
+    assert courses[0][-1] < 0.5 * courses[0][0]
 
 
 @pytest.mark.parametrize("friction", [0.2, 0.8])
@@ -125,9 +129,9 @@ def test_sliding_rod_stops_where_friction_says(friction: float) -> None:
     across = [peer.model.jnt_dofadr[peer.model.body(f"vertex{i}").jntadr[0] + 1] for i in range(domain.segments + 1)]
     speed, before = 0.3, peer.state().dlo[0, : domain.segments, 1]
     peer.data.qvel[across] = speed
-    peer.push(np.zeros(2))
+    mujoco.mj_step(peer.model, peer.data, 600)
     came = (peer.state().dlo[0, : domain.segments, 1] - before).mean()
-    assert came == pytest.approx(speed**2 / (2 * friction * scene.GRAVITY), rel=0.02)
+    assert came == pytest.approx(speed**2 / (2 * friction * GRAVITY), rel=0.02)
 
 
 def test_both_rods_pushed_end_alike() -> None:
@@ -140,10 +144,10 @@ def test_both_rods_pushed_end_alike() -> None:
         peer.push(np.array([0.0, 0.02]))
         state = peer.push(np.array([0.0, 0.01]))
         np.testing.assert_allclose(state.pusher[0], [0.02, 0.01], atol=2e-4)
-        np.testing.assert_allclose(peer.push(np.zeros(2)).dlo, state.dlo, atol=1e-5)
+        np.testing.assert_allclose(peer.push(np.zeros(2)).dlo[..., :2], state.dlo[..., :2], atol=5e-4)
         ends.append(state.dlo[0])
     assert np.abs(ends[0][:, 1]).max() > 0.01
-    np.testing.assert_allclose(ends[0][:, :2], ends[1][:, :2], atol=0.001)
+    np.testing.assert_allclose(ends[0][:, :2], ends[1][:, :2], atol=0.002)
 
 
 @EITHER

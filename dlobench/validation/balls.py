@@ -44,7 +44,9 @@ def spec(
             body.add_freejoint()
         else:
             stiffness = domain.bending_stiffness / (SEGMENT_LENGTH / 2 if i == 0 else SEGMENT_LENGTH)
-            body.add_joint(type=mujoco.mjtJoint.mjJNT_BALL, stiffness=stiffness, damping=stiffness * DAMPING_TIME)
+            body.add_joint(
+                type=mujoco.mjtJoint.mjJNT_BALL, stiffness=stiffness, damping=stiffness * DAMPING_TIME[domain.material]
+            )
         _add_segment(body, domain, spheres)
         for j in range(max(0, i - APART), i - 1):
             out.add_exclude(bodyname1=f"segment{j}", bodyname2=body.name)

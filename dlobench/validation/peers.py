@@ -23,14 +23,14 @@ from dlobench.domain import BOX_SIZE, DLO_RADIUS, MAX_BODIES, MAX_SEGMENTS, Doma
 from dlobench.world import contact, scene
 from dlobench.world.chain import CYLINDER_DENSITY, CYLINDER_HEIGHT, CYLINDER_RADIUS
 from dlobench.world.starts import Start
-from dlobench.world.state import State, controls
+from dlobench.world.state import MOMENTARY, State, controls
 
 Array = NDArray[np.float64]
 Read = Callable[[mujoco.MjData], Array]
 
 TIMESTEP = 0.002  # s, MuJoCo's default
-# Rolling friction over the torque that rolls a sliding rod. A cone shares its force between sliding and rolling: at 2, a
-# rod that slides without rolling had 0.89 of its friction under elliptic cones, 0.67 under pyramids; at 30, 1.00 and 0.97.
+# Rolling friction over the torque that makes a sliding rod roll. A cone shares its force between sliding and rolling:
+# at 2, a rod slid with 0.89 of its friction under elliptic cones and 0.67 under pyramids, at 30 with 1.00 and 0.97.
 ROLLING = 30.0
 DLO_MEETS = contact.TABLE | contact.WALL | contact.DLO  # the conaffinity of the DLO's geometry
 _SPIN = 1e-5  # m, the least torsional friction that MuJoCo knows: a point of our DLO resists no turning on the spot
@@ -57,7 +57,8 @@ class Peer:
     def push(self, displacement: Array) -> State:
         """Moves the pusher by (2,) m along the shipped set-points; returns the state after the push, with S = 1."""
         plan = controls(self.data.qpos[None, self._pusher], displacement[None], self.model.opt.timestep)[0]
-        self.data.act[:] = 0
+        for name in MOMENTARY:  # every push begins at rest, as in the shipped world
+            getattr(self.data, name)[:] = 0
         for setpoint in plan:
             self.data.ctrl[:] = setpoint
             mujoco.mj_step(self.model, self.data)
@@ -71,7 +72,8 @@ class Peer:
         dlo[0, : self.domain.segments] = self._dlo(self.data)
         for i in range(len(self.domain.bodies)):
             bodies[0, i] = pose(self.data, f"body{i}")
-        return State(dlo=dlo, pusher=pose(self.data, "pusher")[None, :2], bodies=bodies)
+        cylinder = np.zeros((1, 3)) if self.domain.attachment == "none" else pose(self.data, "cylinder")[None]
+        return State(dlo=dlo, pusher=pose(self.data, "pusher")[None, :2], bodies=bodies, cylinder=cylinder)
 
     @property
     def warned(self) -> bool:
@@ -98,7 +100,7 @@ def surroundings(domain: Domain, start: Start, timestep: float, sleep: bool) -> 
     """
     out = scene.spec(domain)
     for body in list(out.worldbody.bodies):
-        if body.name != "pusher":
+        if body.name not in {"table", "pusher"}:
             out.delete(body)
     out.option = mujoco.MjSpec().option
     out.option.timestep = timestep
@@ -158,7 +160,9 @@ def _add_cylinder(out: mujoco.MjSpec, domain: Domain, start: Start, friction: di
         friction=[friction["cylinder-any"], 0, 0],
     )
     if domain.attachment == "movable":
-        contact.add_joints(body, "cylinder", "xyz", "z")
+        for axis in np.eye(3):
+            body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+        body.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
         _stand(out, "cylinder", friction["cylinder-table"])
 
 

@@ -74,7 +74,7 @@ def _add_flex(out: mujoco.MjSpec, domain: Domain, start: Start) -> mujoco.MjsFle
         dim=1,
         radius=DLO_RADIUS,
         young=domain.bending_stiffness / (math.pi / 4 * DLO_RADIUS**4),
-        damping=DAMPING_TIME,
+        damping=DAMPING_TIME[domain.material],
         contype=contact.DLO,
         conaffinity=DLO_MEETS,
         condim=3,
