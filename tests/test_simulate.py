@@ -312,12 +312,16 @@ def test_a_state_is_impossible_from_a_millimetre_on(depth: float, expected: bool
         assert simulate.impossible(PLACED, lying(**change)).tolist() == [expected]
 
 
-def test_a_dlo_that_crosses_itself_is_impossible() -> None:
+@pytest.mark.parametrize(("bent", "pressed"), [([0.4] * 15, True), ([2.6] * 2, False)])
+def test_a_dlo_that_crosses_itself_is_impossible(bent: list[float], pressed: bool) -> None:
+    """That goes for neighbours too, which the engine never tests for contact and which no depth tells of."""
+    angles = np.cumsum([*[0.0] * (20 - len(bent)), *bent])
+    steps = SEGMENT_LENGTH * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     crossing = lying()
     assert not simulate.impossible(PLACED, crossing).any()
-    angles = np.cumsum([0.0, *[0.0] * 4, *[0.4] * 15])
-    steps = SEGMENT_LENGTH * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     crossing.dlo[0, :20] = np.column_stack([np.cumsum(steps, axis=0) - steps / 2 - [0.05, 0.0], angles])
+    recorded = overlaps.Poses(crossing.dlo[:, :20], crossing.pusher, crossing.bodies[:, :1], crossing.cylinder)
+    assert (overlaps.depths(PLACED, recorded)["dlo-dlo"] > PENETRATION) == pressed
     assert simulate.impossible(PLACED, crossing).all()
 
 
