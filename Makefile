@@ -4,10 +4,10 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: help run test lint type unit bench clean
+.PHONY: help run test lint type unit bench bench-world clean
 
 help:  ## Show what can be made
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 13
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -31,6 +31,9 @@ unit: $(VENV)/installed  ## The tests alone
 
 bench: $(VENV)/installed  ## Benchmarks, with their ratios
 	$(BIN)/pytest tests/benchmarks --benchmark-enable --benchmark-sort=name
+
+bench-world: $(VENV)/installed  ## The world beside MuJoCo's rod, ball joints and its own environment (3 minutes)
+	$(BIN)/pytest tests/benchmarks/test_world.py tests/benchmarks/test_memory.py --benchmark-enable --benchmark-sort=name
 
 clean:  ## Remove the environment and the caches; data and records stay
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
