@@ -32,8 +32,8 @@ unit: $(VENV)/installed  ## The tests alone
 bench: $(VENV)/installed  ## Benchmarks, with their ratios
 	$(BIN)/pytest tests/benchmarks --benchmark-enable --benchmark-sort=name
 
-bench-world: $(VENV)/installed  ## The simulator beside other ways to simulate the same pushes, as ratios
-	$(BIN)/pytest tests/benchmarks/test_world.py --benchmark-enable --benchmark-sort=name
+bench-world: $(VENV)/installed  ## The world beside MuJoCo's rod, ball joints and its own environment (3 minutes)
+	$(BIN)/pytest tests/benchmarks/test_world.py tests/benchmarks/test_memory.py --benchmark-enable --benchmark-sort=name
 
 bench-step: $(VENV)/installed  ## Step-size error against speed, as a picture
 	$(BIN)/python tests/benchmarks/step_size.py docs/pictures/step_size.png

@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 from dlobench.domain import DLO_RADIUS, SEGMENT_LENGTH, Domain
-from dlobench.validation.peers import DLO_MEETS, TIMESTEP, Array, Peer, Read, pose, surroundings, turn
+from dlobench.validation.peers import DLO_MEETS, TIMESTEP, Array, Peer, Read, pose, resist_rolling, surroundings, turn
 from dlobench.world import contact
 from dlobench.world.chain import APART, CYLINDER_RADIUS, DAMPING_TIME
 from dlobench.world.starts import Start
@@ -34,6 +34,7 @@ def spec(
 ) -> mujoco.MjSpec:
     """Returns the scene at a start as an editable specification."""
     out = surroundings(domain, start, timestep, sleep)
+    resist_rolling(out)
     free = domain.attachment == "none"
     parent = out.worldbody if free else out.body("cylinder")
     pos = [*start.root[:2], DLO_RADIUS] if free else [CYLINDER_RADIUS, 0, DLO_RADIUS]

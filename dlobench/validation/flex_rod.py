@@ -97,7 +97,7 @@ def simulate_run(material: Material, attachment: Attachment, objects: int, numbe
         raise RunError(f"no pusher came as far as the rod in {CANDIDATES} random domains: {material}, {attachment}")
     simulator = Simulator(domain, 1, timestep=FINER)
     finer = [simulator.reset([start]), *(simulator.push(push[None]) for push in pushes)]
-    reference = rods.make(domain, start, FINE, sleep=False)
+    reference = rods.make(domain, start, FINE, sleep=False, rolling_friction=True)
     states = [reference.state(), *(reference.push(push) for push in pushes)]
     kept = slice(domain.segments)
     return Run(

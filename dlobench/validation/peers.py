@@ -29,10 +29,10 @@ Array = NDArray[np.float64]
 Read = Callable[[mujoco.MjData], Array]
 
 TIMESTEP = 0.002  # s, MuJoCo's default
+DLO_MEETS = contact.TABLE | contact.WALL | contact.DLO  # the conaffinity of the DLO's geometry
 # Rolling friction over the torque that makes a sliding rod roll. A cone shares its force between sliding and rolling:
 # at 2, a rod slid with 0.89 of its friction under elliptic cones and 0.67 under pyramids, at 30 with 1.00 and 0.97.
-ROLLING = 30.0
-DLO_MEETS = contact.TABLE | contact.WALL | contact.DLO  # the conaffinity of the DLO's geometry
+_ROLLING = 30.0
 _SPIN = 1e-5  # m, the least torsional friction that MuJoCo knows: a point of our DLO resists no turning on the spot
 
 
@@ -94,8 +94,8 @@ def turn(yaw: float) -> list[float]:
 def surroundings(domain: Domain, start: Start, timestep: float, sleep: bool) -> mujoco.MjSpec:
     """Returns everything but the DLO, where it stands at the start; the pusher's joints are left at 0.
 
-    The DLO's geometry is to have contype `contact.DLO` and conaffinity `DLO_MEETS`. The table's rolling friction keeps
-    it from rolling.
+    The DLO's geometry is to have contype `contact.DLO` and conaffinity `DLO_MEETS`; it must be kept
+    from rolling, as it may not in a planar world.
     """
     out = scene.spec(domain)
     for body in list(out.worldbody.bodies):
@@ -111,13 +111,20 @@ def surroundings(domain: Domain, start: Start, timestep: float, sleep: bool) -> 
         geom.solref, geom.solimp = fresh.solref, fresh.solimp
     friction = contact.friction_table(domain)
     table = out.geom("table")
-    table.contype, table.conaffinity, table.priority, table.condim = contact.TABLE, 0, 1, 6
-    table.friction = [friction["dlo-table"], _SPIN, ROLLING * friction["dlo-table"] * DLO_RADIUS]
+    table.contype, table.conaffinity, table.priority = contact.TABLE, 0, 1
+    table.friction = [friction["dlo-table"], 0, 0]
     for i in range(len(domain.bodies)):
         _add_body(out, domain, start, i, friction)
     if domain.attachment != "none":
         _add_cylinder(out, domain, start, friction)
     return out
+
+
+def resist_rolling(out: mujoco.MjSpec) -> None:
+    """Gives the table rolling friction (condim 6), so much that a DLO only slides on it."""
+    table = out.geom("table")
+    sliding = float(table.friction[0])
+    table.condim, table.friction = 6, [sliding, _SPIN, _ROLLING * sliding * DLO_RADIUS]
 
 
 def _add_body(out: mujoco.MjSpec, domain: Domain, start: Start, i: int, friction: dict[str, float]) -> None:

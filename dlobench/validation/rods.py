@@ -21,30 +21,38 @@ import mujoco
 import numpy as np
 
 from dlobench.domain import DLO_RADIUS, SEGMENT_LENGTH, Domain
-from dlobench.validation.peers import DLO_MEETS, TIMESTEP, Array, Peer, Read, surroundings
+from dlobench.validation.peers import DLO_MEETS, TIMESTEP, Array, Peer, Read, resist_rolling, surroundings
 from dlobench.world import contact
 from dlobench.world.chain import CYLINDER_RADIUS, DAMPING_TIME
 from dlobench.world.starts import Start, chain
 
 _STUB = SEGMENT_LENGTH / 1000  # m, the clamped edge: so short that its vertex has half a segment to bend over
-_SOLIMP = (0.99, 0.999, 0.001)  # of solids and edges
+_TWIST_DAMPING = 1e-3  # N m s: friction on the table makes an edge roll by micrometres a second
+_SOLID_SOLIMP, _EDGE_SOLIMP = (0.99, 0.999, 0.001), (0.999, 0.9999, 0.001)
 
 
-def make(domain: Domain, start: Start, timestep: float = TIMESTEP, sleep: bool = True) -> Peer:
+def make(
+    domain: Domain, start: Start, timestep: float = TIMESTEP, sleep: bool = True, rolling_friction: bool = False
+) -> Peer:
     """Makes the peer at a start, settled."""
-    return Peer(domain, start, spec(domain, start, timestep, sleep), _reader(domain))
+    return Peer(domain, start, spec(domain, start, timestep, sleep, rolling_friction), _reader(domain))
 
 
-def spec(domain: Domain, start: Start, timestep: float = TIMESTEP, sleep: bool = True) -> mujoco.MjSpec:
+def spec(
+    domain: Domain, start: Start, timestep: float = TIMESTEP, sleep: bool = True, rolling_friction: bool = False
+) -> mujoco.MjSpec:
     """Returns the scene at a start as an editable specification."""
     out = surroundings(domain, start, timestep, sleep)
+    if rolling_friction:
+        resist_rolling(out)
     out.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     flex = _add_flex(out, domain, start)
     edges = out.add_equality(name="edges", type=mujoco.mjtEq.mjEQ_FLEX, objtype=mujoco.mjtObj.mjOBJ_FLEX, name1="dlo")
     for part in (flex, edges, *out.geoms, *out.pairs):
         part.solref[:2] = 2 * timestep, 1
-    for solid in (flex, edges, *(geom for geom in out.geoms if geom.name != "table")):
-        solid.solimp[:3] = _SOLIMP
+    for solid in (flex, *(geom for geom in out.geoms if geom.name != "table")):
+        solid.solimp[:3] = _SOLID_SOLIMP
+    edges.solimp[:3] = _EDGE_SOLIMP
     return out
 
 
@@ -87,7 +95,7 @@ def _add_flex(out: mujoco.MjSpec, domain: Domain, start: Start) -> mujoco.MjsFle
         name = "dlo_twist" if i == edges - 1 else f"dlo_twist_{i}"
         body = out.worldbody.add_body(name=name)
         _weigh(body, 1e-9, math.sqrt(mass * DLO_RADIUS**2 / 2 / 1e-9))
-        body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[1, 0, 0])
+        body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[1, 0, 0], damping=_TWIST_DAMPING)
     return flex
 
 
