@@ -40,8 +40,11 @@ def validate(
             found += [(name, row) for row in own]
             failed = sum(row.passed is False for row in own)
             bounded = sum(row.passed is not None for row in own)
-            reporter.say(f"{name}: {bounded - failed} of {bounded} bounds kept, {time.monotonic() - began:.1f} s")
+            kept = f"{bounded - failed} of {bounded} bounds kept" if own else f"no part of {effort}"
+            reporter.say(f"{name}: {kept}, {time.monotonic() - began:.1f} s")
         listen(len(checks), len(checks), {})
+    if not found:
+        raise UsageError(f"nothing to check: {', '.join(checks)} is no part of --{effort}")
     _print(found, as_json)
     failing = [row.name for _, row in found if row.passed is False]
     if failing:

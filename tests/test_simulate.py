@@ -192,8 +192,10 @@ def test_what_always_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"seeds": ["7"]}, "seed = '7' is not a whole number within 0, 1, 2, …"),
         ({"pushes": 0}, "pushes = 0 is outside 1, 2, 3, …"),
         ({"pushes": 2.0}, "pushes = 2.0 is not a whole number within 1, 2, 3, …"),
-        ({"threads": 0}, "threads = 0 is outside 1, 2, 3, …"),
-        ({"threads": None}, "threads = None is not a whole number within 1, 2, 3, …"),
+        ({"threads": 0}, "threads = 0 is outside 1–1024"),
+        ({"threads": None}, "threads = None is not a whole number within 1–1024"),
+        ({"threads": 10**12}, "threads = 1000000000000 is outside 1–1024"),
+        ({"seeds": 5}, "seeds = 5 is not a list of seeds"),
     ],
 )
 def test_what_cannot_be_simulated_is_refused(changes: dict[str, Any], message: str) -> None:

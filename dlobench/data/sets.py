@@ -167,7 +167,7 @@ def locate(domain_id: str) -> tuple[DomainSet, int]:
 
     Raises `UsageError` for an unknown set, an index that the set does not have, and what is no id.
     """
-    name, _, index = domain_id.partition("/")
+    name, _, index = domain_id.partition("/") if isinstance(domain_id, str) else ("", "", "")
     if not (name and index.isascii() and index.isdigit() and len(index) < 10):
         sets = ", ".join(f"{of.name}/0–{len(of) - 1}" for of in SETS.values())
         raise UsageError(f"domain id {ranges.shown(domain_id)} is not <set>/<number>; there are: {sets}")

@@ -42,7 +42,7 @@ class Broken(RunError):
         self.why = why
 
     def __str__(self) -> str:
-        return f"shard {self.path} is broken ({self.why}); `dlobench data repair` generates it again"
+        return f"shard {self.path} is broken ({self.why}); `dlobench data repair` with its set generates it again"
 
 
 def pack(trajectories: Trajectories) -> Rows:

@@ -44,7 +44,9 @@ class Simulator:
     """Steps S simulations of one domain, push by push; raises `UsageError` for what does not fit their number."""
 
     def __init__(self, domain: Domain, simulations: int, threads: int = 1, timestep: float = scene.TIMESTEP) -> None:
-        simulations, threads = ranges.whole("simulations", simulations, 1), ranges.whole("threads", threads, 1)
+        if not isinstance(domain, Domain):
+            raise UsageError(f"domain = {ranges.shown(domain)} is not a Domain")
+        simulations, threads = ranges.whole("simulations", simulations, 1), ranges.whole("threads", threads, 1, 1024)
         mujoco.set_mju_user_warning(scene.quiet)
         self.domain = domain
         self.model = scene.build(domain, timestep)
@@ -69,7 +71,11 @@ class Simulator:
 
         Every push begins at rest, so that positions (and what plastic bending left) are the whole state.
         """
-        shape, needed = np.shape(displacement), (len(self.failed), 2)
+        try:
+            displacement = np.asarray(displacement, dtype=float)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise UsageError(f"displacement = {ranges.shown(displacement)} is not made of numbers") from error
+        shape, needed = displacement.shape, (len(self.failed), 2)
         if shape != needed or not np.isfinite(displacement).all():
             problem = f"has shape {shape}" if shape != needed else "is not finite everywhere"
             raise UsageError(f"displacement {problem}, the batch needs two finite numbers a simulation: {needed}")
@@ -127,6 +133,8 @@ def simulate(
     the attempt's number, and counted. Raises `RunError` when one fails too often, and `UsageError` for a number that
     makes no sense.
     """
+    if not isinstance(seeds, Sequence | np.ndarray) or isinstance(seeds, str):
+        raise UsageError(f"seeds = {ranges.shown(seeds)} is not a list of seeds")
     seeds, pushes = [ranges.seed(seed) for seed in seeds], ranges.whole("pushes", pushes, 1)
     ranges.whole("number of seeds", len(seeds), 1)
     done: dict[int, list[Array]] = {}
