@@ -1,11 +1,11 @@
 """Holds pushed elastic rods against MuJoCo's own rod, an independent model of bending, weight and friction.
 
 Both worlds begin at the same start and execute the same five pushes, those of the shipped simulator. The reference
-(`validation.rods`) takes steps of 0.5 ms and never sleeps; at 1 ms its median differs by 0.1 mm. An error is the mean
-distance of the segments after a push, in % of the length, or in % of how far the reference has come from the start; a
-rod that does not move at all has 100 % of the latter. Only pushes that move the reference by more than 1 mm count, and
-only runs whose pusher comes as far as the rod are simulated. Nothing else is left out: rods that buckle to the other
-side stay in, and medians are what they are.
+(`validation.rods`) takes steps of 0.5 ms, never sleeps and has rolling friction; at 1 ms its medians differ by 0.1 mm.
+An error is the mean distance of the segments after a push, in % of the length, or in % of how far the reference has
+come from the start; a rod that does not move at all has 100 % of the latter. Only pushes that move the reference by
+more than 1 mm count, and only runs whose pusher comes as far as the rod are simulated. Nothing else is left out: rods
+that buckle to the other side stay in, and medians are what they are.
 """
 
 from __future__ import annotations

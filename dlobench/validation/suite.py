@@ -10,6 +10,7 @@ from dlobench.validation.check import Check, Effort, Row
 from dlobench.validation.directions import check_directions
 from dlobench.validation.dynamic import check_dynamic
 from dlobench.validation.energy import check_energy
+from dlobench.validation.flex_rod import check_flex_rod
 from dlobench.validation.folds import check_folds
 from dlobench.validation.pairs import check_pairs
 from dlobench.validation.plasticity import check_plasticity
@@ -35,6 +36,7 @@ CHECKS: dict[str, Check] = {
     "directions": check_directions,
     "pairs": check_pairs,
     "dynamic-cantilever": check_dynamic,
+    "flex-rod": check_flex_rod,
     "step-size": check_step_size,
     "jacobians": check_jacobians,
     "random-pushes": check_random_pushes,
