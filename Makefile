@@ -4,14 +4,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: help run test lint type unit bench bench-world clean
+.PHONY: help run test lint type unit validate bench bench-world bench-step clean
 
 help:  ## Show what can be made
-	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 13
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,dev,render]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,dev,render,validation]'
 	touch $@
 
 run: $(VENV)/installed  ## From nothing to a leaderboard row (add options by ARGS="--max-steps 500")
@@ -34,6 +34,12 @@ bench: $(VENV)/installed  ## Benchmarks, with their ratios
 
 bench-world: $(VENV)/installed  ## The world beside MuJoCo's rod, ball joints and its own environment (3 minutes)
 	$(BIN)/pytest tests/benchmarks/test_world.py tests/benchmarks/test_memory.py --benchmark-enable --benchmark-sort=name
+
+bench-step: $(VENV)/installed  ## Step-size error against speed, as a picture
+	$(BIN)/python tests/benchmarks/step_size.py docs/pictures/step_size.png
+
+validate: $(VENV)/installed  ## The world beside closed forms and independent codes (up to 10 minutes)
+	$(BIN)/dlobench validate
 
 clean:  ## Remove the environment and the caches; data and records stay
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

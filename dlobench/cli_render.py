@@ -52,7 +52,7 @@ def render(
         dlo=recorded.dlo[address.row, states],
         pusher=recorded.pusher[address.row, states],
         bodies=recorded.bodies[address.row, states],
-        cylinder=None,  # RECORDING: pass the recorded cylinder[address.row, states] here
+        cylinder=None if recorded.cylinder is None else recorded.cylinder[address.row, states],
         style=look,
         camera=view,
         depth=depth,

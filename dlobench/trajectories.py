@@ -7,7 +7,7 @@ n actions ahead, S samples. Padded segments and bodies are 0.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +64,9 @@ class Trajectories:
     boxes: Floats  # (3, 5, 5)  each body's boxes in its frame: x m, y m, yaw rad, half sizes m
     commanded: Floats  # (K, T, 2)  displacement asked for, m
     executed: Floats  # (K, T, 2)  displacement asked for plus execution noise, m
+    cylinder: Floats | None = (
+        None  # (K, T+1, 3)  what an attached DLO ends in: x m, y m, yaw rad; never shown to models
+    )
 
     def __len__(self) -> int:
         return len(self.dlo)
@@ -76,7 +79,12 @@ class Trajectories:
     def take(self, index: slice | NDArray[np.intp]) -> Trajectories:
         """Returns the trajectories at `index`."""
         rows = {name: getattr(self, name)[index] for name in ("dlo", "pusher", "bodies", "commanded", "executed")}
-        return Trajectories(dlo_mask=self.dlo_mask, body_mask=self.body_mask, boxes=self.boxes, **rows)
+        cylinder = None if self.cylinder is None else self.cylinder[index]
+        return replace(self, **rows, cylinder=cylinder)
+
+    def observed(self) -> Trajectories:
+        """Returns what a model may see: all but the cylinder, which would tell how the DLO is attached."""
+        return replace(self, cylinder=None)
 
     def windows(self, horizon: int) -> tuple[Query, Prediction]:
         """Returns every window of `horizon` executed pushes, trajectory by trajectory, and the state after it.
@@ -122,10 +130,5 @@ def concatenate(parts: Sequence[Trajectories]) -> Trajectories:
     for part in parts[1:]:
         if not all(np.array_equal(getattr(part, f), getattr(first, f)) for f in ("dlo_mask", "body_mask", "boxes")):
             raise ValueError("trajectories of different domains cannot be joined")
-    shared = {"dlo_mask", "body_mask", "boxes"}
-    rows = {
-        f.name: np.concatenate([getattr(part, f.name) for part in parts])
-        for f in fields(Trajectories)
-        if f.name not in shared
-    }
-    return Trajectories(dlo_mask=first.dlo_mask, body_mask=first.body_mask, boxes=first.boxes, **rows)
+    names = ("dlo", "pusher", "bodies", "commanded", "executed", *(() if first.cylinder is None else ("cylinder",)))
+    return replace(first, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})

@@ -18,8 +18,8 @@ def alter(monkeypatch: pytest.MonkeyPatch, edit: Edit) -> None:
     """Edits every scene that is built from now on."""
     shipped = scene.spec
 
-    def spec(domain: Domain, timestep: float = scene.TIMESTEP) -> mujoco.MjSpec:
-        out = shipped(domain, timestep)
+    def spec(domain: Domain, timestep: float = scene.TIMESTEP, fineness: int = 1) -> mujoco.MjSpec:
+        out = shipped(domain, timestep, fineness)
         edit(out)
         return out
 

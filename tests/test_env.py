@@ -254,7 +254,7 @@ def test_a_copy_is_a_twin() -> None:
 
 
 @pytest.mark.parametrize("goal", [False, True])
-@pytest.mark.parametrize("how", ["warning", "wall"])
+@pytest.mark.parametrize("how", ["warning", "pressed"])
 def test_a_failed_simulation_cuts_the_episode(how: str, goal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     world, twin = (env.make(BODIES, seed=7, goal=goal) for _ in range(2))
     for each in (world, twin):
@@ -266,7 +266,7 @@ def test_a_failed_simulation_cuts_the_episode(how: str, goal: bool, monkeypatch:
             patch.setattr(actions, "noise", lambda rng: np.full(2, 1e-3) + np.array([1e12, 0.0]))
             patch.setattr("dlobench.world.episode.REACH", 1e13)
         else:
-            patch.setattr("dlobench.world.goal.outside", lambda state: np.array([True]))
+            patch.setattr("dlobench.world.goal.impossible", lambda domain, state: np.array([True]))
         cut = world.step(np.array([0.01, 0.01]))
     assert cut.last() and cut.discount == 1.0 and cut.reward == before.reward
     for name, value in cut.observation.items():
@@ -344,7 +344,7 @@ def test_a_goal_is_found_although_simulations_fail(monkeypatch: pytest.MonkeyPat
     expected = env.make(FIXED, seed=3, goal=True)
     count = iter(range(10**6))
     with monkeypatch.context() as patch:
-        patch.setattr(goal, "outside", lambda state: np.array([next(count) == 2]))
+        patch.setattr(goal, "impossible", lambda domain, state: np.array([next(count) == 2]))
         seen = expected.reset().observation
     assert goal.distance(seen["dlo"][:24, :2], seen["goal"][:24]) > 0.01
     assert next(count) > 3  # it went on after the failure

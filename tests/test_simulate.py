@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -11,13 +11,16 @@ import pytest
 from numpy.typing import NDArray
 from test_domain import UNEQUAL, make
 
-from dlobench.domain import DLO_RADIUS, MATERIALS, WORKSPACE, Domain, RigidBody
+from dlobench.domain import BOX_SIZE, DLO_RADIUS, SEGMENT_LENGTH, WORKSPACE, Domain, RigidBody
 from dlobench.errors import RunError, UsageError
 from dlobench.trajectories import Trajectories
-from dlobench.world import actions, env, simulate, starts
-from dlobench.world.scene import REACH
-from dlobench.world.simulate import Account, Simulator, Streams
-from dlobench.world.state import State
+from dlobench.validation.shapes import check_materials
+from dlobench.world import actions, env, overlaps, simulate, starts
+from dlobench.world.chain import CYLINDER_RADIUS
+from dlobench.world.physics import Physics
+from dlobench.world.scene import PUSHER_RADIUS, REACH
+from dlobench.world.simulate import PENETRATION, Account, Simulator, Streams
+from dlobench.world.state import LASTING, State
 
 Array = NDArray[np.float64]
 
@@ -30,7 +33,7 @@ DOMAINS: dict[str, Domain] = {
     "fixed": make(material="elastoplastic", attachment="fixed"),
     "fixed-bodies": make(material="flexible", attachment="fixed", bodies=BODIES[:2], length=0.12),
 }
-SEEDS = [[5, trajectory] for trajectory in range(10)]
+SEEDS = [[5, trajectory] for trajectory in range(8)]
 PUSHES = 20
 
 
@@ -60,7 +63,7 @@ def same(one: Trajectories, two: Trajectories) -> None:
 def first(made: Trajectories, pushes: int, rows: Sequence[int]) -> Trajectories:
     """Returns the first pushes of some trajectories."""
     taken = made.take(np.array(rows))
-    cut = {name: getattr(taken, name)[:, : pushes + 1] for name in ("dlo", "pusher", "bodies")}
+    cut = {name: getattr(taken, name)[:, : pushes + 1] for name in ("dlo", "pusher", "bodies", "cylinder")}
     return replace(taken, commanded=taken.commanded[:, :pushes], executed=taken.executed[:, :pushes], **cut)
 
 
@@ -110,7 +113,7 @@ def test_what_is_recorded_has_its_shape(samples: dict[str, Sample]) -> None:
     for sample in samples.values():
         domain, made, account = sample.domain, sample.made, sample.account
         shapes = {"dlo": (K, T + 1, 32, 3), "pusher": (K, T + 1, 2), "bodies": (K, T + 1, 3, 3)}
-        shapes |= {"commanded": (K, T, 2), "executed": (K, T, 2)}
+        shapes |= {"cylinder": (K, T + 1, 3), "commanded": (K, T, 2), "executed": (K, T, 2)}
         for name, shape in shapes.items():
             rows = getattr(made, name)
             assert rows.shape == shape and rows.dtype == np.float32 and np.isfinite(rows).all()
@@ -118,7 +121,9 @@ def test_what_is_recorded_has_its_shape(samples: dict[str, Sample]) -> None:
         assert not made.dlo[:, :, ~made.dlo_mask].any() and not made.bodies[:, :, ~made.body_mask].any()
         links = np.linalg.norm(np.diff(made.dlo[:, :, made.dlo_mask, :2], axis=2), axis=-1)
         assert links.max() < 0.005 + 1e-6  # the chain does not stretch, nor fold into itself
-        assert account.commands == K * T and account.trajectories_redrawn == 0 and account.commands_redrawn > 0
+        assert account.commands >= K * T and account.commands_redrawn > 0
+        assert account.commands == K * T or account.trajectories_redrawn
+        assert made.cylinder is not None and made.cylinder.any() == (domain.attachment != "none")
 
 
 def poison(monkeypatch: pytest.MonkeyPatch, calls: set[int]) -> None:
@@ -221,8 +226,9 @@ def test_executed_is_commanded_and_noise(samples: dict[str, Sample]) -> None:
     for sample in samples.values():
         difference = sample.made.executed.astype(float) - sample.made.commanded
         for row, seed in zip(difference, SEEDS, strict=True):
-            stream = Streams.of([*seed, 0]).noise
-            np.testing.assert_allclose(row, [actions.noise(stream) for _ in range(PUSHES)], atol=5e-9)
+            streams = [Streams.of([*seed, attempt]).noise for attempt in range(1 + sample.account.trajectories_redrawn)]
+            drawn = [[actions.noise(stream) for _ in range(PUSHES)] for stream in streams]
+            assert any(np.allclose(row, noise, rtol=0, atol=5e-9) for noise in drawn)
         lengths = np.linalg.norm(sample.made.commanded, axis=-1)
         assert lengths.min() >= 0.012 - 1e-8 and lengths.max() <= 0.024 + 1e-8
 
@@ -261,18 +267,98 @@ def test_a_push_moves_the_dlo_that_is_in_the_way() -> None:
     assert after.dlo[0, 9, 1] < 0.0147 + 0.004
 
 
-def test_nothing_ends_outside_the_walls(samples: dict[str, Sample]) -> None:
-    slack, half = 0.005, WORKSPACE / 2
+def poses(sample: Sample) -> Iterator[overlaps.Poses]:
+    """Yields what was recorded, a trajectory at a time and without padding."""
+    made = sample.made
+    assert made.cylinder is not None
+    for k in range(len(made)):
+        yield overlaps.Poses(
+            dlo=made.dlo[k][:, made.dlo_mask].astype(float),
+            pusher=made.pusher[k].astype(float),
+            bodies=made.bodies[k][:, made.body_mask].astype(float),
+            cylinder=None if sample.domain.attachment == "none" else made.cylinder[k].astype(float),
+        )
+
+
+def test_nothing_recorded_is_pressed_into_anything(samples: dict[str, Sample]) -> None:
     for name, sample in samples.items():
-        made = sample.made
-        assert np.abs(made.dlo[:, :, made.dlo_mask, :2]).max() + DLO_RADIUS < half + slack, name
-        assert np.abs(made.pusher).max() < REACH + 2e-4, name
-        for i, body in enumerate(sample.domain.bodies):
-            x, y, yaw = np.moveaxis(made.bodies[:, :, i].astype(float), -1, 0)
-            for bx, by, _, h, _ in body.boxes():
-                for cx, cy in ((bx + h, by + h), (bx + h, by - h), (bx - h, by + h), (bx - h, by - h)):
-                    corner = [x + np.cos(yaw) * cx - np.sin(yaw) * cy, y + np.sin(yaw) * cx + np.cos(yaw) * cy]
-                    assert np.abs(corner).max() < half + slack, name
+        for recorded in poses(sample):
+            deepest = {pair: depth.max() for pair, depth in overlaps.depths(sample.domain, recorded).items()}
+            assert max(deepest.values()) < PENETRATION + 1e-6, (name, deepest)
+            assert not overlaps.crossings(sample.domain, recorded).any(), name
+        assert np.abs(sample.made.pusher).max() < REACH + 2e-4, name
+
+
+def lying(**changes: Any) -> State:
+    """Returns a state of `PLACED` in which all is apart: the DLO along x from its cylinder, a body above it."""
+    dlo, bodies = np.zeros((1, 32, 3)), np.zeros((1, 3, 3))
+    dlo[0, :20, 0] = -0.05 + SEGMENT_LENGTH * (np.arange(20) + 0.5)
+    bodies[0, 0] = [0.0, 0.07, 0.0]
+    cylinder = np.array([[-0.05 - CYLINDER_RADIUS, 0.0, 0.0]])
+    return State(**{"dlo": dlo, "pusher": np.array([[0.0, -0.08]]), "bodies": bodies, "cylinder": cylinder, **changes})
+
+
+PLACED = make(length=0.10, attachment="movable", bodies=(RigidBody("bar2", (2000.0,) * 2, 0.5),))
+
+
+@pytest.mark.parametrize(("depth", "expected"), [(-0.001, False), (0.0009, False), (0.0011, True), (np.nan, True)])
+def test_a_state_is_impossible_from_a_millimetre_on(depth: float, expected: bool) -> None:
+    edge = WORKSPACE / 2 + depth - CYLINDER_RADIUS
+    for change in (
+        {"pusher": np.array([[0.0, depth - DLO_RADIUS - PUSHER_RADIUS]])},  # pressed into the DLO
+        {"bodies": np.array([[[0.0, WORKSPACE / 2 + depth - BOX_SIZE / 2, 0.0], [0.0] * 3, [0.0] * 3]])},  # a wall
+        {"cylinder": np.array([[edge, 0.1, 0.0]])},
+    ):
+        assert simulate.impossible(PLACED, lying(**change)).tolist() == [expected]
+
+
+@pytest.mark.parametrize(("bent", "pressed"), [([0.4] * 15, True), ([2.6] * 2, False)])
+def test_a_dlo_that_crosses_itself_is_impossible(bent: list[float], pressed: bool) -> None:
+    """That goes for neighbours too, which the engine never tests for contact and which no depth tells of."""
+    angles = np.cumsum([*[0.0] * (20 - len(bent)), *bent])
+    steps = SEGMENT_LENGTH * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    crossing = lying()
+    assert not simulate.impossible(PLACED, crossing).any()
+    crossing.dlo[0, :20] = np.column_stack([np.cumsum(steps, axis=0) - steps / 2 - [0.05, 0.0], angles])
+    recorded = overlaps.Poses(crossing.dlo[:, :20], crossing.pusher, crossing.bodies[:, :1], crossing.cylinder)
+    assert (overlaps.depths(PLACED, recorded)["dlo-dlo"] > PENETRATION) == pressed
+    assert simulate.impossible(PLACED, crossing).all()
+
+
+def test_what_was_impossible_once_has_failed_until_the_reset(monkeypatch: pytest.MonkeyPatch) -> None:
+    begin = starts.sample(PLACED, np.random.default_rng(0))
+    crossing = replace(
+        begin, root=np.zeros(3), bends=np.array([0.0] * 4 + [0.45] * 16), bodies=np.array([[0.0, 0.1, 0.0]])
+    )
+    simulator = Simulator(PLACED, 2)
+    simulator.reset([begin, crossing])
+    assert simulator.failed.tolist() == [False, True]
+    with monkeypatch.context() as patch:
+        patch.setattr(simulate, "impossible", lambda domain, state: np.zeros(2, dtype=bool))
+        simulator.push(np.zeros((2, 2)))
+        assert simulator.failed.tolist() == [False, True]
+    simulator.reset([begin, begin])
+    assert not simulator.failed.any()
+
+
+@pytest.mark.parametrize("name", ["none-bodies", "movable-bodies", "fixed-bodies"])
+def test_what_lasts_is_the_whole_state(name: str) -> None:
+    """A world with the same positions and plastic bends, and nothing else in common, goes the same way."""
+    domain = DOMAINS[name]
+    rng = np.random.default_rng(3)
+    one, two = Physics(domain), Physics(domain)
+    with one.reset_context():
+        one.start(starts.sample(domain, rng))
+    for _ in range(6):
+        state = one.state()
+        command, _ = actions.draw(rng, state.pusher[0], state.dlo[0, : domain.segments, :2], one.fixed_cylinder())
+        two.data.qvel[:], two.data.act[:], two.data.qacc_warmstart[:] = 0.3, 0.1, 5.0  # of another past
+        for field in LASTING:
+            getattr(two.data, field)[:] = getattr(one.data, field)
+        for physics in (one, two):
+            physics.step(physics.plan(command))
+        np.testing.assert_array_equal(one.data.qpos, two.data.qpos)
+        np.testing.assert_array_equal(one.data.plastic, two.data.plastic)
 
 
 def test_pushes_move_the_dlo_and_the_bodies(samples: dict[str, Sample]) -> None:
@@ -287,30 +373,20 @@ def test_pushes_move_the_dlo_and_the_bodies(samples: dict[str, Sample]) -> None:
 
 def test_a_fixed_cylinder_holds_its_end_and_a_movable_one_follows(samples: dict[str, Sample]) -> None:
     for name, sample in samples.items():
-        first = sample.made.dlo[:, :, 0].astype(float)
-        end = first[..., :2] - 2.5e-3 * np.stack([np.cos(first[..., 2]), np.sin(first[..., 2])], axis=-1)
+        if sample.domain.attachment == "none" or sample.made.cylinder is None:
+            continue
+        first, cylinder = sample.made.dlo[:, :, 0].astype(float), sample.made.cylinder.astype(float)
+        end = first[..., :2] - SEGMENT_LENGTH / 2 * towards(first)
+        np.testing.assert_allclose(end, cylinder[..., :2] + CYLINDER_RADIUS * towards(cylinder), atol=1e-6)
         drift = np.linalg.norm(end - end[:, :1], axis=-1).max()
         assert drift < 1e-6 if name.startswith("fixed") else drift > 5e-3, name
 
 
+def towards(pose: Array) -> Array:
+    """Returns the directions (…, 2) that poses (…, 3) look in."""
+    return np.stack([np.cos(pose[..., 2]), np.sin(pose[..., 2])], axis=-1)
+
+
 def test_materials_end_in_different_shapes() -> None:
-    ends: dict[str, Any] = {}
-    for material in MATERIALS:
-        domain = make(material=material, yield_curvature=0.5 if material == "elastoplastic" else None)
-        begin = starts.Start(
-            root=np.array([-0.08, 0.0, 0.0]),
-            bends=np.zeros(32),
-            bodies=np.zeros((0, 3)),
-            pusher=np.array([0.02, -0.015]),
-        )
-        simulator = Simulator(domain, 1)
-        simulator.reset([begin])
-        for displacement in ([0.0, 0.024], [0.0, 0.024], [0.0, -0.02], [0.0, -0.02]):
-            state = simulator.push(np.array([displacement]))
-        ends[material] = state.dlo[0]
-        assert not simulator.failed.any()
-    for one, two in (("soft", "flexible"), ("flexible", "elastoplastic"), ("soft", "elastoplastic")):
-        apart = np.linalg.norm((ends[one] - ends[two])[:, :2], axis=1)
-        assert apart.mean() > 2e-3, (one, two)
-    bend = {material: np.abs(np.diff(np.unwrap(end[:, 2]))).sum() for material, end in ends.items()}
-    assert bend["soft"] > bend["elastoplastic"] > 2 * bend["flexible"]  # a rope drapes, a wire keeps its bend
+    rows = list(check_materials("quick"))
+    assert rows and all(row.passed for row in rows), [row for row in rows if not row.passed]

@@ -30,7 +30,7 @@ def extent(physics: Physics) -> float:
         turn = data.geom_xmat[geom].reshape(3, 3)
         if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
             half = np.abs(turn[:2, 2]) * size[1] + size[0]
-        elif kind == mujoco.mjtGeom.mjGEOM_BOX and size[0] < WORKSPACE / 2:  # not a plate below the table
+        elif kind == mujoco.mjtGeom.mjGEOM_BOX:
             half = np.abs(turn[:2]) @ size
         else:
             continue

@@ -41,7 +41,8 @@ def fake(domain: Domain, trajectories: int, *, seed: int = 0, pushes: int = PUSH
     bodies = rng.normal(scale=0.1, size=(K, T + 1, MAX_BODIES, 3)).astype(np.float32)
     dlo[:, :, ~dlo_mask], bodies[:, :, ~body_mask] = 0, 0
     commanded = (executed + rng.normal(scale=1e-4, size=executed.shape)).astype(np.float32)
-    return Trajectories(dlo, dlo_mask, pusher, bodies, body_mask, boxes, commanded, executed)
+    cylinder = rng.normal(scale=0.1, size=(K, T + 1, 3)).astype(np.float32)
+    return Trajectories(dlo, dlo_mask, pusher, bodies, body_mask, boxes, commanded, executed, cylinder)
 
 
 def write(store: Store, of: DomainSet, unit: Unit) -> Trajectories:
@@ -296,7 +297,7 @@ def edit(store: Store, **changes: Any) -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"schema": 2},
+        {"schema": 99},
         {"key": META.key + "1"},
         {"unit": asdict(replace(UNIT, first=20))},
         {"unit": None},

@@ -13,7 +13,7 @@ from test_domain import UNEQUAL, make
 from dlobench.domain import BOX_SIZE, SHAPES, RigidBody
 from dlobench.trajectories import Query, Trajectories, concatenate, geometry
 
-ROWS = ("dlo", "pusher", "bodies", "commanded", "executed")
+ROWS = ("dlo", "pusher", "bodies", "commanded", "executed", "cylinder")
 SHARED = ("dlo_mask", "body_mask", "boxes")
 DOMAIN = make(length=0.12, bodies=(UNEQUAL, RigidBody("bar2", (2000.0, 3000.0), 0.4)))
 
@@ -22,7 +22,7 @@ def noise(K: int, T: int, seed: int = 0) -> Trajectories:
     """Makes trajectories of which no two numbers are equal, in the geometry of `DOMAIN`."""
     rng = np.random.default_rng(seed)
     shapes = {"dlo": (K, T + 1, 32, 3), "pusher": (K, T + 1, 2), "bodies": (K, T + 1, 3, 3)}
-    shapes |= {"commanded": (K, T, 2), "executed": (K, T, 2)}
+    shapes |= {"commanded": (K, T, 2), "executed": (K, T, 2), "cylinder": (K, T + 1, 3)}
     rows = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
     dlo_mask, body_mask, boxes = geometry(DOMAIN)
     return Trajectories(dlo_mask=dlo_mask, body_mask=body_mask, boxes=boxes, **rows)
@@ -124,3 +124,12 @@ def test_parts_of_different_geometry_are_not_joined(name: str) -> None:
     for parts in ([made, other], [made, made, other], [other, made]):
         with pytest.raises(ValueError, match="different domains"):
             concatenate(parts)
+
+
+def test_a_model_sees_everything_but_the_cylinder() -> None:
+    made = noise(2, 3)
+    shown = made.observed()
+    assert shown.cylinder is None and made.cylinder is not None
+    for name in (*ROWS[:-1], *SHARED):
+        assert getattr(shown, name) is getattr(made, name)
+    assert concatenate([shown, shown]).cylinder is None and shown.take(slice(1)).cylinder is None

@@ -138,7 +138,7 @@ def _load(order: Order, store: Store, partition: Partition, listen: Listener) ->
     for name in ("train", "valid", "test"):
         parts[name] = {}
         for index in getattr(partition, name):
-            parts[name][index] = store.load_domain(order.of, index, order.trajectories)
+            parts[name][index] = store.load_domain(order.of, index, order.trajectories).observed()
             done += 1
             listen(done, len(order.domains), {})
     return parts

@@ -1,6 +1,6 @@
 """Keeps shards on disk so that nothing half-written is ever taken for data.
 
-A shard is one float32 array (trajectories, 21, 111) in `<set key>/<domain>/<first>.npy`. Its JSON sidecar, with the
+A shard is one float32 array (trajectories, 21, 114) in `<set key>/<domain>/<first>.npy`. Its JSON sidecar, with the
 SHA-256 of the array and where it came from, is written last: a shard without a valid sidecar does not exist yet.
 """
 
@@ -24,10 +24,10 @@ from dlobench.errors import RunError
 from dlobench.trajectories import Trajectories, concatenate, geometry
 
 # Columns of a shard, in order: fields of `Trajectories` flattened. The last row of the actions is 0.
-COLUMNS = {"pusher": 2, "dlo": MAX_SEGMENTS * 3, "bodies": MAX_BODIES * 3, "commanded": 2, "executed": 2}
+COLUMNS = {"pusher": 2, "dlo": MAX_SEGMENTS * 3, "bodies": MAX_BODIES * 3, "cylinder": 3, "commanded": 2, "executed": 2}
 WIDTH = sum(COLUMNS.values())
 BYTES_A_PUSH = 4 * WIDTH * (PUSHES + 1) / PUSHES
-SCHEMA = 1
+SCHEMA = 2
 _FIELDS = {"schema", "unit", "key", "domain", "seed", "sha256", "bytes", "account", "seconds", "versions", "cpu"}
 
 Rows = NDArray[np.float32]
@@ -46,12 +46,14 @@ class Broken(RunError):
 
 
 def pack(trajectories: Trajectories) -> Rows:
-    """Flattens trajectories into the rows of a shard: (K, T+1, 111)."""
+    """Flattens trajectories into the rows of a shard: (K, T+1, 114)."""
     K, T = len(trajectories), trajectories.pushes
     out = np.zeros((K, T + 1, WIDTH), np.float32)
     column = 0
     for name, width in COLUMNS.items():
         rows = getattr(trajectories, name)
+        if rows is None:
+            raise ValueError("trajectories without the cylinder are not whole")
         out[:, : rows.shape[1], column : column + width] = rows.reshape(K, rows.shape[1], width)
         column += width
     return out

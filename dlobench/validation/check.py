@@ -29,7 +29,7 @@ class Row:
         """Tells whether the error keeps the bound; None without a bound. What is no number never passes."""
         if self.bound is None:
             return None
-        return math.isfinite(self.measured) and math.isfinite(self.error) and self.error <= self.bound
+        return bool(math.isfinite(self.measured) and math.isfinite(self.error) and self.error <= self.bound)
 
 
 Check = Callable[[Effort], Iterator[Row]]

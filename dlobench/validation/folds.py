@@ -16,10 +16,11 @@ from dlobench.validation.check import Effort, Row, at_most
 from dlobench.validation.probe import Probe, walk
 from dlobench.validation.survey import MOVED, SEED, Piece
 from dlobench.world import scene, starts
+from dlobench.world.physics import restart
 from dlobench.world.scene import Layout
 from dlobench.world.simulate import Streams
 from dlobench.world.starts import Start
-from dlobench.world.state import MOMENTARY, controls, place
+from dlobench.world.state import controls, place
 
 Array = NDArray[np.float64]
 
@@ -112,8 +113,7 @@ def _replay(domain: Domain, seed: list[int], moves: Array) -> Array:
     _place(data, layout, domain, starts.sample(domain, Streams.of(seed).start))
     poses = []
     for move in moves:  # the first is the settling
-        for name in MOMENTARY:
-            getattr(data, name)[:] = 0
+        restart(model, data)
         for control in controls(data.qpos[None, layout.pusher_qpos], move[None], model.opt.timestep)[0]:
             data.ctrl[:] = control
             mujoco.mj_step(model, data)

@@ -23,7 +23,7 @@ from dlobench.domain import BOX_SIZE, DLO_RADIUS, MAX_BODIES, MAX_SEGMENTS, Doma
 from dlobench.world import contact, scene
 from dlobench.world.chain import CYLINDER_DENSITY, CYLINDER_HEIGHT, CYLINDER_RADIUS
 from dlobench.world.starts import Start
-from dlobench.world.state import MOMENTARY, State, controls
+from dlobench.world.state import State, controls
 
 Array = NDArray[np.float64]
 Read = Callable[[mujoco.MjData], Array]
@@ -57,8 +57,7 @@ class Peer:
     def push(self, displacement: Array) -> State:
         """Moves the pusher by (2,) m along the shipped set-points; returns the state after the push, with S = 1."""
         plan = controls(self.data.qpos[None, self._pusher], displacement[None], self.model.opt.timestep)[0]
-        for name in MOMENTARY:  # every push begins at rest, as in the shipped world
-            getattr(self.data, name)[:] = 0
+        self.data.qvel[:], self.data.act[:] = 0, 0  # every push begins at rest, as in the shipped world
         for setpoint in plan:
             self.data.ctrl[:] = setpoint
             mujoco.mj_step(self.model, self.data)

@@ -15,7 +15,7 @@ from dlobench.domain import Domain
 from dlobench.world import actions, scene, starts
 from dlobench.world.overlaps import Poses, outline
 from dlobench.world.simulate import Simulator, Streams
-from dlobench.world.state import MOMENTARY, Array, State, controls, observe
+from dlobench.world.state import Array, State, controls, observe
 
 Edit = Callable[[mujoco.MjModel], None]  # changes settings of a compiled scene, not its sizes
 
@@ -92,8 +92,7 @@ class Probe(Simulator):
     def trace(self, displacement: Array) -> Trace:
         """Pushes by (S, 2) m, as `push` does, and returns every step on the way."""
         plan = controls(self._batch.qpos[:, self.layout.pusher_qpos], displacement, self.model.opt.timestep)
-        for name in MOMENTARY:
-            self._batch.bind(name)[:] = 0
+        self._restart()
         names = tuple(f.name for f in fields(Trace))
         out = {name: np.zeros((*plan.shape[:2], self._batch.bind(name).shape[1])) for name in names}
         with contextlib.suppress(SimulationError):

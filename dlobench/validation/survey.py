@@ -24,7 +24,7 @@ SEED = 20_240
 FINER = 10  # the reference takes a tenth of the step
 MOVED = 0.001  # m, mean over segments: pushes that move the DLO by more are compared
 # Domains a cell of material, attachment and object count; trajectories a domain; pushes a trajectory.
-SIZES: dict[Effort, tuple[int, int, int]] = {"quick": (1, 2, 10), "normal": (7, 4, PUSHES), "full": (7, 20, PUSHES)}
+SIZES: dict[Effort, tuple[int, int, int]] = {"quick": (3, 2, 10), "normal": (7, 4, PUSHES), "full": (7, 20, PUSHES)}
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,7 @@ class Found:
     crossings: Array  # (states,)  pairs of segments that cross
     outside: NDArray[np.bool_]  # (states,)  something is beyond a wall, or is no number
     speed: Mapping[str, Array]  # of what → (pushes,)  largest speed of any of its points after each push, m/s
+    recorded: NDArray[np.bool_]  # (states,)  of trajectories that would be kept
     warned: NDArray[np.bool_]  # (trajectories,)  MuJoCo raised or warned
     failed: NDArray[np.bool_]  # (trajectories,)  would be redrawn
     commands: int  # feasible commands drawn
@@ -121,6 +122,7 @@ def visit(piece: Piece) -> tuple[int, Found]:
         crossings=kept([overlaps.crossings(domain, push.poses) for push in made]),
         outside=kept([overlaps.outside(domain, push.poses) for push in made]),
         speed={name: np.stack([speed[name] for speed in speeds[1:]])[running[1:]] for name in speeds[0]},
+        recorded=kept([~probe.failed for _ in made]),
         warned=warned,
         failed=probe.failed.copy(),
         commands=sum(push.commands for push in made),

@@ -13,7 +13,7 @@ CYLINDER_RADIUS = 0.0075  # m, the body that an attached DLO ends in
 CYLINDER_HEIGHT = 0.015  # m
 CYLINDER_DENSITY = 1200.0  # kg/m³
 # s, joint damping over joint stiffness: ropes are quick to rest, stiff rods must not whip
-DAMPING_TIME: dict[Material, float] = {"soft": 0.02, "flexible": 0.1, "elastoplastic": 0.1}
+DAMPING_TIME: dict[Material, float] = {"soft": 0.02, "flexible": 0.05, "elastoplastic": 0.05}
 NEVER_YIELDS = 1e3  # rad; keeps plastic state allocated, so that materials share their sizes
 SUPPORTED = 2  # segments that share a support, in their middle
 APART = 3  # segments closer than this along the chain are never tested for contact

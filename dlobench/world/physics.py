@@ -9,7 +9,17 @@ from dm_control.rl import control
 from dlobench.domain import Domain
 from dlobench.world import scene
 from dlobench.world.starts import Start
-from dlobench.world.state import MOMENTARY, Array, State, controls, fixed_point, observe, place
+from dlobench.world.state import LASTING, Array, State, controls, fixed_point, observe, place
+
+
+def restart(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Wakes and stops everything, so that nothing but positions and plastic bends is carried over to the next push."""
+    time, kept = data.time, {name: getattr(data, name).copy() for name in LASTING}
+    mujoco.mj_resetData(model, data)
+    for name, value in kept.items():
+        getattr(data, name)[:] = value
+    data.time = time
+    mujoco.mj_kinematics(model, data)
 
 
 class Physics(control.Physics):  # type: ignore[misc]  # dm_control is untyped
@@ -43,8 +53,7 @@ class Physics(control.Physics):  # type: ignore[misc]  # dm_control is untyped
         """Plans a push by (2,) m from where the pusher is; returns the number of steps that it takes."""
         pusher = self.data.qpos[None, self.layout.pusher_qpos]
         self._plan = controls(pusher, displacement[None], self.timestep())[0]
-        for name in MOMENTARY:
-            getattr(self.data, name)[:] = 0
+        restart(self.model, self.data)
         return len(self._plan)
 
     def step(self, n_sub_steps: int = 1) -> None:

@@ -21,6 +21,7 @@ from dlobench.world.chain import add_dlo
 from dlobench.world.pressure import spread
 
 TIMESTEP = 0.004  # s; docs/adr/0008
+TALL = 0.15  # m, half the height of a body's boxes; nothing else depends on it
 PUSHER_RADIUS = 0.0075  # m
 PUSHER_MASS = 0.02  # kg
 REACH = WORKSPACE / 2 - PUSHER_RADIUS - 4.5 * DLO_RADIUS  # m, the pusher's axis stays within: two DLOs fit behind it
@@ -71,7 +72,8 @@ def spec(domain: Domain, timestep: float = TIMESTEP, fineness: int = 1) -> mujoc
     out.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     out.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     out.option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
-    out.option.tolerance = 1e-6  # tighter ones change no state by more than a micrometre, and cost a tenth
+    out.option.tolerance = 1e-6
+    out.option.ls_iterations = 500  # 50, MuJoCo's own, end some line searches halfway, and the step with them
     out.option.impratio = contact.IMPRATIO
     out.option.enableflags |= mujoco.mjtEnableBit.mjENBL_SLEEP  # what lies still costs nothing and cannot creep
     out.default.geom.solref[:2] = contact.SOLID_SOLREF
@@ -143,9 +145,9 @@ def _add_body(out: mujoco.MjSpec, i: int, rigid: RigidBody, friction: dict[str, 
     for (x, y, _, half, _), density in zip(boxes, densities, strict=True):
         body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[x, y, BOX_SIZE / 2],
-            size=[half, half, BOX_SIZE / 2],
-            density=density,
+            pos=[x, y, 0],
+            size=[half, half, TALL],  # so that whatever is in it is pushed out sideways
+            mass=density * BOX_SIZE**3,
             contype=contact.BODY,
             conaffinity=contact.WALL | contact.DLO | contact.BODY,
             priority=1,

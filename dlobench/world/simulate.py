@@ -19,7 +19,7 @@ from dlobench.domain import Domain
 from dlobench.errors import RunError, UsageError
 from dlobench.trajectories import Trajectories, geometry
 from dlobench.world import actions, overlaps, scene, starts
-from dlobench.world.state import MOMENTARY, Array, State, controls, fixed_point, observe, place
+from dlobench.world.state import LASTING, Array, State, controls, fixed_point, observe, place
 
 PUSHES = 20  # n_P, pushes a trajectory
 PENETRATION = 0.001  # m; a push that ends with things deeper in each other ends its trajectory
@@ -60,7 +60,7 @@ class Simulator:
         placed = [place(self.model, self.layout, self.domain, start) for start in begin]
         self._batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
         self.failed[:] = False
-        for name in ("qpos", "plastic", "mocap_pos", "mocap_quat"):
+        for name in LASTING:
             self._batch.bind(name)[:] = np.stack([getattr(p, name) for p in placed])
         return self.push(np.zeros((len(placed), 2)))
 
@@ -75,8 +75,7 @@ class Simulator:
             raise UsageError(f"displacement {problem}, the batch needs two finite numbers a simulation: {needed}")
         qpos = self._batch.bind("qpos")
         plan = controls(qpos[:, self.layout.pusher_qpos], displacement, self.model.opt.timestep)
-        for name in MOMENTARY:
-            self._batch.bind(name)[:] = 0
+        self._restart()
         with contextlib.suppress(SimulationError):  # the others have finished; status says which raised
             self._batch.rollout(plan.shape[1], plan)
         self.failed |= (self._batch.status != 0) | self._batch.warning.reshape(len(self.failed), -1).any(axis=1)
@@ -84,6 +83,13 @@ class Simulator:
         state = observe(self.layout, self._xpos, self._xmat)
         self.failed |= impossible(self.domain, state)
         return state
+
+    def _restart(self) -> None:
+        """Wakes and stops everything, so that nothing but positions and plastic bends is carried over."""
+        kept = {name: self._batch.bind(name).copy() for name in LASTING}
+        self._batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+        for name, value in kept.items():
+            self._batch.bind(name)[:] = value
 
     def fixed_cylinders(self) -> Array | None:
         """Returns the (S, 2) places of the fixed cylinders, m, or None."""
@@ -136,18 +142,18 @@ def simulate(
             break
     else:
         raise RunError(f"{RETRIES} simulations in a row failed from seed {list(seeds[missing[0]])} in {domain}")
-    dlo, pusher, bodies, commanded, executed = (
-        np.stack([done[i][f] for i in range(len(seeds))]).astype(np.float32) for f in range(5)
+    dlo, pusher, bodies, cylinder, commanded, executed = (
+        np.stack([done[i][f] for i in range(len(seeds))]).astype(np.float32) for f in range(6)
     )
     dlo_mask, body_mask, boxes = geometry(domain)
-    trajectories = Trajectories(dlo, dlo_mask, pusher, bodies, body_mask, boxes, commanded, executed)
+    trajectories = Trajectories(dlo, dlo_mask, pusher, bodies, body_mask, boxes, commanded, executed, cylinder)
     return trajectories, Account(redrawn, commands, failures)
 
 
 def _attempt(
     domain: Domain, seeds: Sequence[Sequence[int]], threads: int, pushes: int
 ) -> tuple[list[Array], int, int, NDArray[np.bool_]]:
-    """Returns the five recorded arrays (S first), how many commands were drawn and redrawn, and who failed."""
+    """Returns the six recorded arrays (S first), how many commands were drawn and redrawn, and who failed."""
     streams = [Streams.of(seed) for seed in seeds]
     simulator = Simulator(domain, len(seeds), threads)
     state = simulator.reset([starts.sample(domain, s.start) for s in streams])
@@ -167,5 +173,5 @@ def _attempt(
         states.append(state)
         commanded.append(command)
         executed.append(command + noise)
-    poses = [np.stack([getattr(s, name) for s in states], axis=1) for name in ("dlo", "pusher", "bodies")]
+    poses = [np.stack([getattr(s, name) for s in states], axis=1) for name in ("dlo", "pusher", "bodies", "cylinder")]
     return [*poses, np.stack(commanded, axis=1), np.stack(executed, axis=1)], drawn, redrawn, simulator.failed

@@ -21,7 +21,7 @@ PUSH_TIME = 0.3  # s, settling included
 MOVE_TIME = 0.24  # s, of which the pusher moves
 
 
-MOMENTARY = ("qvel", "act", "qacc_warmstart")  # what MuJoCo would carry from one push to the next beside positions
+LASTING = ("qpos", "plastic", "mocap_pos", "mocap_quat")  # what a push leaves to the next; all else is forgotten
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def fixed_point(layout: Layout, domain: Domain, xpos: Array) -> Array | None:
 def controls(pusher: Array, displacement: Array, timestep: float) -> Array:
     """Returns the servos' set-points of one push: (S, steps, 4) x m, vx m/s, y m, vy m/s at every step.
 
-    The pusher moves for 0.25 s, fastest after a third of it, and comes to rest so gently that what it pushes stays with
+    The pusher moves for 0.24 s, fastest after a third of it, and comes to rest so gently that what it pushes stays with
     it at the least friction; then it holds.
     """
     steps = round(PUSH_TIME / timestep)
