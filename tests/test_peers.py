@@ -124,10 +124,12 @@ def test_both_rods_swing_back_alike() -> None:
 
 
 @pytest.mark.parametrize("friction", [0.2, 0.8])
-def test_sliding_rod_stops_where_friction_says(friction: float) -> None:
+@pytest.mark.parametrize("rolling", [False, True])
+def test_sliding_rod_stops_where_friction_says(friction: float, rolling: bool) -> None:
     """A straight rod sliding sideways comes v²/2μg far."""
     domain = Domain(friction, 0.1, 1000.0, "flexible", 1e-4, None, "none")
-    peer = rods.make(domain, straight(domain, pusher=(0.0, -0.1)), timestep=0.0005, sleep=False)
+    start = straight(domain, pusher=(0.0, -0.1))
+    peer = rods.make(domain, start, timestep=0.0005, sleep=False, rolling_friction=rolling)
     across = [peer.model.jnt_dofadr[peer.model.body(f"vertex{i}").jntadr[0] + 1] for i in range(domain.segments + 1)]
     speed, before = 0.3, peer.state().dlo[0, : domain.segments, 1]
     peer.data.qvel[across] = speed

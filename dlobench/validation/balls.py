@@ -1,13 +1,12 @@
 """Builds the peer whose DLO is a three-dimensional chain of capsules and ball joints.
 
 A ball joint's spring is EI/l in every direction, which is also a round rod's torsion without Poisson's ratio; a clamped
-joint is half a joint, as in the shipped scene. Contacts are MuJoCo's defaults in everything. In trials over four moving
-domains of three objects (pushes/s on one core, beside other work) these made 6.6; stiffer contacts 5.8; elliptic cones
-5.0; no sleep and the `implicitfast` integrator a third less, and with the latter the rod did not keep still; conjugate
-gradients and dense matrices less again. With condim 3 it is twice as fast, but then it rolls away and never rests.
+joint is half a joint, as in the shipped scene. Contacts are MuJoCo's defaults in everything. In trials over domains of
+three objects (pushes/s of one core, beside other work) these made 7.4; stiffer contacts as many; elliptic cones 5.1,
+and 6.2 with stiffer contacts; no sleep 6.0; the `implicitfast` integrator 5.3, and the rod did not keep still;
+conjugate gradients 2.7; dense matrices as many. With condim 3 it makes 12, but then it rolls away and never rests.
 
-A capsule touches the table at two points. `spheres` lets one sphere a segment touch it instead, as the shipped scene
-does: 8.5.
+A capsule touches the table at two points. `spheres` lets one sphere a segment touch it instead: 10.
 """
 
 from __future__ import annotations

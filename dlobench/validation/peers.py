@@ -7,7 +7,7 @@ boxes, an attached cylinder stands on the table, weight presses through real con
 
 Settings are MuJoCo's defaults (Newton, islands, sparse matrices, which it chooses by itself from 60 degrees of freedom
 on) but for what a user would change at once: the `discrete` integrator, which the documentation recommends for stiff
-springs, and sleep, which made both peers half as fast again. Where a peer departs further, its module says why.
+springs, and sleep, which made both peers faster by a fifth. Where a peer departs further, its module says why.
 """
 
 from __future__ import annotations
