@@ -384,7 +384,8 @@ RENDER = ("--domain", f"meta-learning/{INDEX}", "--trajectory", "3")
 
 @needs_opengl
 def test_a_picture_shows_the_state_that_is_asked_for(recorded: Trajectories, call: Call, tmp_path: Path) -> None:
-    still = {"dlo": recorded.dlo[3], "pusher": recorded.pusher[3], "bodies": recorded.bodies[3]}
+    assert recorded.cylinder is not None
+    still = {name: getattr(recorded, name)[3] for name in ("dlo", "pusher", "bodies", "cylinder")}
     drawn = draw(META.domain(INDEX), still)
     for push, options in ((PUSHES, ()), (0, ("--push", "0")), (7, ("--push", "7"))):
         done = call(*RENDER, *options, "--out", tmp_path / "new" / "x.PNG")
