@@ -70,7 +70,7 @@ def domains(effort: Effort) -> list[Domain]:
     cells = product(MATERIALS, ATTACHMENTS, range(MAX_BODIES + 1))
     found = []
     for i, ((material, attachment, bodies), turn) in enumerate(product(cells, range(SIZES[effort][0]))):
-        length = LENGTHS[(i + turn) % len(LENGTHS)] if SIZES[effort][0] == 1 else LENGTHS[turn % len(LENGTHS)]
+        length = LENGTHS[(i + turn) % len(LENGTHS)] if SIZES[effort][0] < len(LENGTHS) else LENGTHS[turn % len(LENGTHS)]
         rng = np.random.default_rng([SEED, i, turn])
         found.append(sample(rng, material=material, attachment=attachment, length=length, rigid_objects=bodies))
     return found
