@@ -16,7 +16,8 @@ import typer
 
 from dlobench import __version__
 from dlobench.cli_board import leaderboard_app, show
-from dlobench.cli_look import Data, Workers, data_app, list_app, open_store
+from dlobench.cli_data import Scale, Workers, data_app, generate
+from dlobench.cli_look import Data, list_app, open_store
 from dlobench.cli_render import render
 from dlobench.cli_validate import validate
 from dlobench.errors import RunError, UsageError
@@ -31,10 +32,9 @@ app = typer.Typer(
 app.add_typer(list_app, name="list")
 app.add_typer(data_app, name="data")
 app.add_typer(leaderboard_app, name="leaderboard")
+app.command()(generate)
 app.command()(render)
 app.command()(validate)
-
-Scale = Annotated[str, typer.Option(help="How much: mini (minutes), small (hours), paper (a cluster).")]
 
 
 def _version(wanted: bool) -> None:
@@ -56,38 +56,6 @@ def _main(
 
 
 @app.command()
-def generate(
-    set_name: Annotated[str, typer.Argument(metavar="SET", help="See `dlobench list sets`.")],
-    scale: Scale = "mini",
-    domains: Annotated[int | None, typer.Option(help="Only so many domains, spread over the cells.")] = None,
-    data: Data = None,
-    workers: Workers = 0,
-    executor: Annotated[str, typer.Option(help="Where to run: local.")] = "local",
-) -> None:
-    """Generate what is missing of a set. Stop it at any time: the next call goes on."""
-    from dlobench.bench.run import ensure_data
-    from dlobench.console import TerminalReporter
-    from dlobench.data.executors import EXECUTORS, check_workers
-    from dlobench.data.sets import find, find_scale
-
-    of, chosen = find(set_name), find_scale(scale)
-    if executor not in EXECUTORS:
-        raise UsageError(f"unknown executor {executor!r}; there are: {', '.join(EXECUTORS)}")
-    spread = of.spread(chosen)
-    if domains is not None and not 1 <= domains <= len(spread):
-        raise UsageError(f"--domains {domains} is outside 1–{len(spread)}, what {set_name}/{scale} has")
-    trajectories = of.extents[chosen].trajectories
-    ensure_data(
-        open_store(data),
-        of,
-        spread[:domains],
-        trajectories,
-        workers=check_workers(workers),
-        reporter=TerminalReporter(),
-    )
-
-
-@app.command()
 def run(
     task: Annotated[str, typer.Option(help="A task's name or file.")],
     model: Annotated[str, typer.Option(help="A model's name or file.")],
@@ -103,7 +71,7 @@ def run(
     data: Data = None,
     out: Annotated[Path, typer.Option(help="Where records and their leaderboard go.")] = Path("runs"),
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
-    workers: Workers = 0,
+    workers: Workers = None,
     threads: Annotated[int, typer.Option(min=1, help="Threads of torch; small networks gain nothing from more.")] = 1,
     force: Annotated[bool, typer.Option("--force", help="Run again what is recorded already.")] = False,
 ) -> None:
@@ -113,7 +81,7 @@ def run(
     from dlobench.bench.order import order, resolve_device
     from dlobench.bench.plugins import load_model, load_task, parse_settings
     from dlobench.console import TerminalReporter
-    from dlobench.data.executors import check_workers
+    from dlobench.data.executors import find_executor
     from dlobench.data.sets import find_scale
     from dlobench.nn.budget import Budget
 
@@ -141,7 +109,7 @@ def run(
         open_store(data),
         out,
         command=command,
-        workers=check_workers(workers),
+        executor=find_executor("local", workers=workers),
         reporter=TerminalReporter(),
         force=force,
     )

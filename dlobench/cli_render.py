@@ -24,7 +24,6 @@ def render(
 ) -> None:
     """Draw a recorded trajectory: one state as a picture, or every state, a quarter of a second each, as a film."""
     from dlobench.data.address import parse
-    from dlobench.data.sets import PUSHES
     from dlobench.data.store import atomic_write
     from dlobench.world import canvas, pictures
     from dlobench.world import style as styles
@@ -34,10 +33,11 @@ def render(
         raise UsageError(f"--out {str(out)!r} does not name a file of the kinds {', '.join(pictures.SUFFIXES)}")
     if push is not None and kind != ".png":
         raise UsageError(f"--push {push} chooses the state of a .png; a {kind} shows every state")
-    if push is not None and not 0 <= push <= PUSHES:
-        raise UsageError(f"--push {push} is outside 0–{PUSHES}, the states of a trajectory")
-    view, look = styles.find_camera(camera), styles.load(style)
     store, address = open_store(data), parse(domain, trajectory)
+    pushes = address.of.pushes
+    if push is not None and not 0 <= push <= pushes:
+        raise UsageError(f"--push {push} is outside 0–{pushes}, the states of a trajectory")
+    view, look = styles.find_camera(camera), styles.load(style)
     pictures.check_installed()
     if store.sidecar(address.of, address.unit) is None:
         command = address.command() + (f" --data {shlex.quote(str(data))}" if data else "")
@@ -46,7 +46,7 @@ def render(
     canvas.load()  # before anything else imports MuJoCo, whose import fails where MUJOCO_GL names what is not there
     from dlobench.world.render import frames
 
-    states = [PUSHES if push is None else push] if kind == ".png" else list(range(PUSHES + 1))
+    states = [pushes if push is None else push] if kind == ".png" else list(range(pushes + 1))
     drawn = frames(
         address.of.domain(address.domain),
         dlo=recorded.dlo[address.row, states],

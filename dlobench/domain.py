@@ -176,6 +176,38 @@ class Domain:
         return Domain(**{**values, "bodies": bodies})
 
 
+TYPICAL_SHAPES = ("bar3", "L4", "T4")  # of the bodies of a typical domain, in this order
+
+
+def typical(*, material: Material, attachment: Attachment, length: float, rigid_objects: int) -> Domain:
+    """Returns the domain in the middle of what `sample` draws from: the geometric middle of stiffness and yield.
+
+    `length` is in m. Raises `UsageError` for a cell outside the documented ranges.
+    """
+    ranges.choice("material", material, MATERIALS)
+    count = ranges.whole("rigid_objects", rigid_objects, 0, MAX_BODIES)
+
+    def middle(low: float, high: float) -> float:
+        return (low + high) / 2
+
+    def geometric(low: float, high: float) -> float:
+        return math.sqrt(low * high)
+
+    return Domain(
+        surface_friction=middle(*SURFACE_FRICTION),
+        length=length,
+        density=middle(*DLO_DENSITY),
+        material=material,
+        bending_stiffness=geometric(*STIFFNESS[material]),
+        yield_curvature=geometric(*YIELD_CURVATURE) if material == "elastoplastic" else None,
+        attachment=attachment,
+        bodies=tuple(
+            RigidBody(shape, (middle(*BOX_DENSITY),) * len(SHAPES[shape]), middle(*BODY_FRICTION))
+            for shape in TYPICAL_SHAPES[:count]
+        ),
+    )
+
+
 def sample_body(rng: np.random.Generator) -> RigidBody:
     """Samples a shape, one density a box and a friction coefficient, each uniformly."""
     shape = str(rng.choice(list(SHAPES)))

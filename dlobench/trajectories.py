@@ -16,6 +16,7 @@ from dlobench.domain import MAX_BODIES, MAX_BOXES, MAX_SEGMENTS, Domain
 
 Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+Geometry = tuple[Mask, Mask, Floats]  # what is visible of a domain: dlo_mask (32,), body_mask (3,), boxes (3, 5, 5)
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ class Trajectories:
         return query, truth
 
 
-def geometry(domain: Domain) -> tuple[Mask, Mask, Floats]:
+def geometry(domain: Domain) -> Geometry:
     """Returns what is visible of a domain: dlo_mask (32,), body_mask (3,) and boxes (3, 5, 5)."""
     dlo_mask = np.arange(MAX_SEGMENTS) < domain.segments
     body_mask = np.arange(MAX_BODIES) < len(domain.bodies)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from dlobench.bench.plugins import ModelPlugin, hyperparameters
 from dlobench.bench.task import Fit, Task
-from dlobench.data.sets import DomainSet, ScaleName, find
+from dlobench.data.domain_set import DomainSet, Part, ScaleName, Span
+from dlobench.data.sets import find
 from dlobench.errors import UsageError
 from dlobench.nn.budget import Budget
 
@@ -34,15 +36,10 @@ class Order:
         """Returns the set that the task reads."""
         return find(self.task.set)
 
-    @property
-    def domains(self) -> list[int]:
-        """Returns the domains that the run reads."""
-        return self.task.domains(self.scale)
-
-    @property
-    def trajectories(self) -> int:
-        """Returns how many trajectories of every domain the run reads."""
-        return self.task.trajectories(self.scale)
+    @cached_property
+    def spans(self) -> dict[Part, list[Span]]:
+        """Returns the trajectories that the run reads, part by part."""
+        return self.task.spans(self.scale)
 
 
 def order(task: Task, scale: ScaleName, plugin: ModelPlugin, K: int | None, horizon: int | None, **rest: Any) -> Order:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -19,9 +19,10 @@ from dlobench.bench.model import Model, Setting
 from dlobench.bench.order import Order, recordable
 from dlobench.bench.plugins import hyperparameters
 from dlobench.bench.results import CellScore, FitReport, Provenance, Record
-from dlobench.bench.task import Fit, Partition
+from dlobench.bench.task import Fit, split_digest
+from dlobench.data.domain_set import PARTS, DomainSet, Part, Span
+from dlobench.data.executors import Executor
 from dlobench.data.generate import generate, status
-from dlobench.data.sets import DomainSet
 from dlobench.data.store import Store
 from dlobench.errors import RunError
 from dlobench.nn.budget import Listener, Log
@@ -40,11 +41,9 @@ class Reporter(Protocol):
         """Shows progress, with rate and ETA, while the context lasts."""
 
 
-def ensure_data(
-    store: Store, of: DomainSet, domains: list[int], trajectories: int, *, workers: int, reporter: Reporter
-) -> None:
+def ensure_data(store: Store, of: DomainSet, spans: Iterable[Span], *, executor: Executor, reporter: Reporter) -> None:
     """Generates what is missing; raises `RunError` for what is broken, which is never overwritten unasked."""
-    units = list(of.units(domains, trajectories))
+    units = list(of.units(spans))
     found = status(store, of, units)
     if found.broken:
         unit, why = next(iter(found.broken.items()))
@@ -58,16 +57,16 @@ def ensure_data(
         return
     reporter.say(f"data: {len(found.done)} shards reused, {len(found.pending)} to generate into {folder}")
     with reporter.bar("generating", "pushes") as listen:
-        generate(store, found.pending, workers, lambda done, total: listen(done, total, {}))
+        generate(store, of, found.pending, executor, lambda done, total: listen(done, total, {}))
 
 
 def run(
-    order: Order, store: Store, out: Path, *, command: str, workers: int, reporter: Reporter, force: bool = False
+    order: Order, store: Store, out: Path, *, command: str, executor: Executor, reporter: Reporter, force: bool = False
 ) -> Record:
     """Makes the record of an order and writes it under `out`; returns the one that is there already unless `force`."""
     task = order.task
-    partition = task.partition(order.scale)
-    data_sha256 = order.of.digest(order.domains, order.trajectories)
+    spans = [span for part in PARTS for span in order.spans[part]]
+    data_sha256, split_sha256 = order.of.digest(spans), split_digest(order.spans)
     hyper = hyperparameters(order.plugin.model) | dict(order.settings)
     config = results.config_digest(
         plugin=order.plugin.sha256,
@@ -77,11 +76,11 @@ def run(
         budget=asdict(order.budget),
         task=[task.name, task.version],
         data=data_sha256,
-        split=partition.digest,
+        split=split_sha256,
         code=results.code_digest(),
     )
     path = out / task.name / order.scale / f"{order.plugin.name}@{config}" / f"seed{order.seed}.json"
-    ensure_data(store, order.of, order.domains, order.trajectories, workers=workers, reporter=reporter)
+    ensure_data(store, order.of, spans, executor=executor, reporter=reporter)
     if path.exists() and not force:
         record = results.read(path, out)
         reporter.say(f"run: reused the record {path}; --force runs it again")
@@ -89,7 +88,7 @@ def run(
     results.check_writable(out)  # better said now than after the fit
     begin = time.perf_counter()
     with reporter.bar("loading", "domains") as listen:
-        parts = _load(order, store, partition, listen)
+        parts = _load(order, store, listen)
     reports, cells, learned = list[FitReport](), list[CellScore](), 0
     for fit in order.fits:
         model, report = _fit(order, hyper, fit, parts, reporter)
@@ -118,7 +117,7 @@ def run(
             device=order.device,
             set=order.of.key,
             data_sha256=data_sha256,
-            split_sha256=partition.digest,
+            split_sha256=split_sha256,
             plugin_sha256=order.plugin.sha256,
             hyperparameters=recordable(hyper),
             K=list(order.K),
@@ -129,18 +128,16 @@ def run(
     return record
 
 
-_Parts = dict[str, dict[int, Trajectories]]
+_Parts = dict[Part, dict[int, Trajectories]]
 
 
-def _load(order: Order, store: Store, partition: Partition, listen: Listener) -> _Parts:
-    parts: _Parts = {}
-    done = 0
-    for name in ("train", "valid", "test"):
-        parts[name] = {}
-        for index in getattr(partition, name):
-            parts[name][index] = store.load_domain(order.of, index, order.trajectories).observed()
-            done += 1
-            listen(done, len(order.domains), {})
+def _load(order: Order, store: Store, listen: Listener) -> _Parts:
+    total, done = sum(map(len, order.spans.values())), 0
+    parts: _Parts = {part: {} for part in PARTS}
+    for part, spans in order.spans.items():
+        for span in spans:
+            parts[part][span.domain] = store.load_span(order.of, span).observed()
+            listen(done := done + 1, total, {})
     return parts
 
 

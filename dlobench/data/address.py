@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dlobench.data.sets import SCALES, DomainSet, Unit, find
+from dlobench.data.domain_set import SCALES, DomainSet, Span, Unit
+from dlobench.data.sets import find
 from dlobench.errors import UsageError
 
 
@@ -19,20 +20,21 @@ class Address:
     @property
     def unit(self) -> Unit:
         """Returns the shard that holds the trajectory."""
-        *_, last = self.of.units([self.domain], self.trajectory + 1)
-        return last
+        return Unit(self.of.name, self.domain, self.trajectory - self.row, self.of.block)
 
     @property
     def row(self) -> int:
         """Returns the trajectory's place in its shard."""
-        return self.trajectory - self.unit.first
+        return self.trajectory % self.of.block
 
     def command(self) -> str:
         """Returns the command that generates the trajectory, and as little else as that command can."""
         for scale in SCALES:
-            spread = self.of.spread(scale)
-            if self.domain in spread and self.trajectory < self.of.extents[scale].trajectories:
-                return f"dlobench generate {self.of.name} --scale {scale} --domains {spread.index(self.domain) + 1}"
+            spans = self.of.spans(scale)
+            if any(_holds(span, self.domain, self.trajectory) for span in spans):
+                order = list(dict.fromkeys(span.domain for span in spans))
+                domains = order.index(self.domain) + 1
+                return f"dlobench generate {self.of.name} --scale {scale} --domains {domains}"
         raise AssertionError(f"no scale of {self.of.name} holds {self}")  # `parse` has seen to it
 
 
@@ -42,9 +44,14 @@ def parse(domain: str, trajectory: int) -> Address:
     if not slash:
         raise UsageError(f"domain {domain!r} is not SET/INDEX, as in meta-learning/17")
     of = find(name)
-    most = {d: of.extents[scale].trajectories for scale in SCALES for d in of.domains(scale)}  # scales nest
-    if not (index.isascii() and index.isdigit() and int(index) in most):
-        raise UsageError(f"domain {domain!r}: {index!r} is not one of {name}'s domains, {min(most)}–{max(most)}")
-    if not 0 <= trajectory < most[int(index)]:
-        raise UsageError(f"trajectory {trajectory} is outside 0–{most[int(index)] - 1}, what domain {domain} has")
+    if not (index.isascii() and index.isdigit() and len(index) < 10 and int(index) < len(of)):
+        raise UsageError(f"domain {domain!r}: {index!r} is not one of {name}'s domains, 0–{len(of) - 1}")
+    spans = [span for span in of.spans("paper") if span.domain == int(index)]  # scales nest
+    if not any(_holds(span, int(index), trajectory) for span in spans):
+        have = ", ".join(f"{span.first}–{span.first + span.count - 1} ({span.part})" for span in spans)
+        raise UsageError(f"trajectory {trajectory} is outside {have}, what domain {domain} has")
     return Address(of, int(index), trajectory)
+
+
+def _holds(span: Span, domain: int, trajectory: int) -> bool:
+    return span.domain == domain and 0 <= trajectory - span.first < span.count

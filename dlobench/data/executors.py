@@ -1,4 +1,4 @@
-"""Runs independent pieces of work: here, on this machine's cores."""
+"""Runs independent pieces of work: on this machine's cores, or wherever an executor of another name runs them."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from functools import partial
 from itertools import islice
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from dlobench.errors import RunError, UsageError
 
@@ -26,11 +27,25 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def check_workers(workers: int) -> int:
-    """Returns `workers`, 0 meaning one a core; raises `UsageError` for a negative number."""
-    if workers < 0:
-        raise UsageError(f"--workers {workers} is negative; 0 takes all {cores()} cores")
+def check_workers(workers: int | None) -> int:
+    """Returns the number of workers, None meaning one a core; raises `UsageError` when there would be none."""
+    if workers is not None and workers < 1:
+        raise UsageError(f"--workers {workers} leaves nobody to work; this machine has {cores()} cores")
     return workers or cores()
+
+
+class Executor(Protocol):
+    """Applies a function to pieces of work, anywhere and in any order, and yields the results as they arrive."""
+
+    def __call__(self, function: Callable[[Work], Result], work: Iterable[Work]) -> Iterator[Result]:
+        """Yields the results; the first failure ends everything. Pieces are atomic and may run more than once."""
+
+
+def find_executor(name: str, *, workers: int | None = None) -> Executor:
+    """Returns an executor by name; raises `UsageError` naming the choices."""
+    if name not in EXECUTORS:
+        raise UsageError(f"unknown executor {name!r}; there are: {', '.join(EXECUTORS)}")
+    return partial(local, workers=check_workers(workers))
 
 
 def local(function: Callable[[Work], Result], work: Iterable[Work], workers: int) -> Iterator[Result]:

@@ -1,7 +1,7 @@
 """Keeps shards on disk so that nothing half-written is ever taken for data.
 
-A shard is one float32 array (trajectories, 21, 114) in `<set key>/<domain>/<first>.npy`. Its JSON sidecar, with the
-SHA-256 of the array and where it came from, is written last: a shard without a valid sidecar does not exist yet.
+A shard is one float32 array (trajectories, pushes + 1, 114) in `<set key>/<domain>/<first>.npy`. Its JSON sidecar, with
+the SHA-256 of the array and where it came from, is written last: a shard without a valid sidecar does not exist yet.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import hashlib
 import io
 import json
 import os
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -18,15 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dlobench import machine
-from dlobench.data.sets import PUSHES, DomainSet, Unit
-from dlobench.domain import MAX_BODIES, MAX_SEGMENTS, Domain
+from dlobench.data.domain_set import DomainSet, Span, Unit
+from dlobench.domain import MAX_BODIES, MAX_SEGMENTS
 from dlobench.errors import RunError
-from dlobench.trajectories import Trajectories, concatenate, geometry
+from dlobench.trajectories import Geometry, Trajectories, concatenate
 
 # Columns of a shard, in order: fields of `Trajectories` flattened. The last row of the actions is 0.
 COLUMNS = {"pusher": 2, "dlo": MAX_SEGMENTS * 3, "bodies": MAX_BODIES * 3, "cylinder": 3, "commanded": 2, "executed": 2}
 WIDTH = sum(COLUMNS.values())
-BYTES_A_PUSH = 4 * WIDTH * (PUSHES + 1) / PUSHES
 SCHEMA = 2
 _FIELDS = {"schema", "unit", "key", "domain", "seed", "sha256", "bytes", "account", "seconds", "versions", "cpu"}
 
@@ -45,6 +45,11 @@ class Broken(RunError):
         return f"shard {self.path} is broken ({self.why}); `dlobench data repair` with its set generates it again"
 
 
+def data_bytes(of: DomainSet, spans: Iterable[Span]) -> int:
+    """Returns how many bytes the arrays of these spans take on disk, headers and sidecars aside."""
+    return sum(span.count for span in spans) * (of.pushes + 1) * 4 * WIDTH
+
+
 def pack(trajectories: Trajectories) -> Rows:
     """Flattens trajectories into the rows of a shard: (K, T+1, 114)."""
     K, T = len(trajectories), trajectories.pushes
@@ -59,8 +64,8 @@ def pack(trajectories: Trajectories) -> Rows:
     return out
 
 
-def unpack(rows: Rows, domain: Domain) -> Trajectories:
-    """Reads the rows of a shard as trajectories of its domain."""
+def unpack(rows: Rows, geometry: Geometry) -> Trajectories:
+    """Views the rows of a shard (K, T+1, 114) as trajectories of a domain with this geometry; nothing is copied."""
     K = len(rows)
     fields, column = {}, 0
     for name, width in COLUMNS.items():
@@ -68,7 +73,7 @@ def unpack(rows: Rows, domain: Domain) -> Trajectories:
         part = part[:, :-1] if name in ("commanded", "executed") else part
         fields[name] = part.reshape(K, part.shape[1], -1, 3) if name in ("dlo", "bodies") else part
         column += width
-    dlo_mask, body_mask, boxes = geometry(domain)
+    dlo_mask, body_mask, boxes = geometry
     return Trajectories(dlo_mask=dlo_mask, body_mask=body_mask, boxes=boxes, **fields)
 
 
@@ -91,7 +96,7 @@ class Store:
 
     def path(self, of: DomainSet, unit: Unit) -> Path:
         """Returns where a unit's array is kept; its sidecar has the suffix .json."""
-        return self.root / of.key / f"{unit.domain:05d}" / f"{unit.first:06d}.npy"
+        return self.root / of.key / f"{unit.domain:05d}" / f"{unit.first:07d}.npy"
 
     def sidecar(self, of: DomainSet, unit: Unit) -> dict[str, Any] | None:
         """Returns a shard's sidecar, or None where the shard is still to be made.
@@ -111,7 +116,7 @@ class Store:
             found["key"] != of.key
             or found["unit"] != asdict(unit)
             or found["seed"] != of.seed(unit.domain, unit.first)
-            or found["domain"] != of.domain(unit.domain).to_json()
+            or found["domain"] != of.definition(unit.domain)
         ):
             raise Broken(path, f"it was made for another set, domain or version than {of.key}")
         try:
@@ -138,14 +143,14 @@ class Store:
             rows = np.lib.format.read_array(io.BytesIO(content), allow_pickle=False)
         except (ValueError, EOFError) as error:
             raise Broken(path, f"it holds no plain array: {error}") from error
-        if rows.shape != (unit.count, PUSHES + 1, WIDTH) or rows.dtype != np.float32 or not np.isfinite(rows).all():
+        if rows.shape != (unit.count, of.pushes + 1, WIDTH) or rows.dtype != np.float32 or not np.isfinite(rows).all():
             raise Broken(path, f"{rows.dtype} {rows.shape} is not a finite shard")
-        return unpack(rows, of.domain(unit.domain))
+        return unpack(rows, of.geometry(unit.domain))
 
-    def load_domain(self, of: DomainSet, index: int, trajectories: int) -> Trajectories:
-        """Loads the first `trajectories` of a domain; raises `Broken`."""
-        parts = [self.load(of, unit) for unit in of.units([index], trajectories)]
-        return concatenate(parts).take(slice(trajectories))
+    def load_span(self, of: DomainSet, span: Span) -> Trajectories:
+        """Loads consecutive trajectories of a domain into memory, every byte checked; raises `Broken`."""
+        parts = [self.load(of, unit) for unit in of.units([span])]
+        return concatenate(parts).take(slice(span.first % of.block, span.first % of.block + span.count))
 
     def write(
         self, of: DomainSet, unit: Unit, trajectories: Trajectories, account: dict[str, int], seconds: float
@@ -161,7 +166,7 @@ class Store:
             "schema": SCHEMA,
             "unit": asdict(unit),
             "key": of.key,
-            "domain": of.domain(unit.domain).to_json(),
+            "domain": of.definition(unit.domain),
             "seed": of.seed(unit.domain, unit.first),
             "sha256": hashlib.sha256(content).hexdigest(),
             "bytes": len(content),

@@ -6,7 +6,7 @@ A trajectory depends on its domain and seed alone: not on its neighbours in the 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -19,7 +19,7 @@ from dlobench.domain import Domain
 from dlobench.errors import RunError, UsageError
 from dlobench.trajectories import Trajectories, geometry
 from dlobench.world import actions, overlaps, scene, starts
-from dlobench.world.state import LASTING, Array, State, controls, fixed_point, observe, place
+from dlobench.world.state import LASTING, Array, State, controls, fixed_point, observe, place, stack
 
 PUSHES = 20  # n_P, pushes a trajectory
 PENETRATION = 0.001  # m; a push that ends with things deeper in each other ends its trajectory
@@ -97,6 +97,19 @@ class Simulator:
         for name, value in kept.items():
             self._batch.bind(name)[:] = value
 
+    def save(self) -> dict[str, Array]:
+        """Returns the whole state of the first simulation, which `restore` takes, in a batch of any number too."""
+        return {name: self._batch.bind(name)[0].copy() for name in LASTING}
+
+    def restore(self, saved: dict[str, Array]) -> State:
+        """Places every simulation in a saved state, at rest, and returns it."""
+        self._batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+        self.failed[:] = False
+        for name, value in saved.items():
+            self._batch.bind(name)[:] = value
+        self._batch.forward(stage=mujoco.mjtStage.mjSTAGE_POS)
+        return observe(self.layout, self._xpos, self._xmat)
+
     def fixed_cylinders(self) -> Array | None:
         """Returns the (S, 2) places of the fixed cylinders, m, or None."""
         return fixed_point(self.layout, self.domain, self._xpos)
@@ -137,31 +150,34 @@ def simulate(
         raise UsageError(f"seeds = {ranges.shown(seeds)} is not a list of seeds")
     seeds, pushes = [ranges.seed(seed) for seed in seeds], ranges.whole("pushes", pushes, 1)
     ranges.whole("number of seeds", len(seeds), 1)
-    done: dict[int, list[Array]] = {}
+    done: dict[int, dict[str, Array]] = {}
     missing = list(range(len(seeds)))
     commands = redrawn = failures = 0
     for attempt in range(RETRIES):
         rows, drawn, again, failed = _attempt(domain, [[*seeds[i], attempt] for i in missing], threads, pushes)
         commands, redrawn = commands + drawn, redrawn + again
         failures += int(failed.sum())
-        done |= {i: [field[k] for field in rows] for k, i in enumerate(missing) if not failed[k]}
+        done |= {i: {f: rows[f][k] for f in rows} for k, i in enumerate(missing) if not failed[k]}
         missing = [i for k, i in enumerate(missing) if failed[k]]
         if not missing:
             break
     else:
         raise RunError(f"{RETRIES} simulations in a row failed from seed {list(seeds[missing[0]])} in {domain}")
-    dlo, pusher, bodies, cylinder, commanded, executed = (
-        np.stack([done[i][f] for i in range(len(seeds))]).astype(np.float32) for f in range(6)
-    )
+    whole = {name: np.stack([done[i][name] for i in range(len(seeds))]) for name in done[0]}
+    return record(domain, whole), Account(redrawn, commands, failures)
+
+
+def record(domain: Domain, arrays: Mapping[str, Array]) -> Trajectories:
+    """Returns the trajectories of a domain that float64 arrays, by the names of their fields, hold."""
     dlo_mask, body_mask, boxes = geometry(domain)
-    trajectories = Trajectories(dlo, dlo_mask, pusher, bodies, body_mask, boxes, commanded, executed, cylinder)
-    return trajectories, Account(redrawn, commands, failures)
+    rows = {name: value.astype(np.float32) for name, value in arrays.items()}
+    return Trajectories(dlo_mask=dlo_mask, body_mask=body_mask, boxes=boxes, **rows)
 
 
 def _attempt(
     domain: Domain, seeds: Sequence[Sequence[int]], threads: int, pushes: int
-) -> tuple[list[Array], int, int, NDArray[np.bool_]]:
-    """Returns the six recorded arrays (S first), how many commands were drawn and redrawn, and who failed."""
+) -> tuple[dict[str, Array], int, int, NDArray[np.bool_]]:
+    """Returns the recorded arrays (S first) by name, how many commands were drawn and redrawn, and who failed."""
     streams = [Streams.of(seed) for seed in seeds]
     simulator = Simulator(domain, len(seeds), threads)
     state = simulator.reset([starts.sample(domain, s.start) for s in streams])
@@ -181,5 +197,5 @@ def _attempt(
         states.append(state)
         commanded.append(command)
         executed.append(command + noise)
-    poses = [np.stack([getattr(s, name) for s in states], axis=1) for name in ("dlo", "pusher", "bodies", "cylinder")]
-    return [*poses, np.stack(commanded, axis=1), np.stack(executed, axis=1)], drawn, redrawn, simulator.failed
+    acts = {"commanded": np.stack(commanded, axis=1), "executed": np.stack(executed, axis=1)}
+    return stack(states) | acts, drawn, redrawn, simulator.failed

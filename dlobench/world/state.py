@@ -5,7 +5,8 @@ Environment and batch share these functions, which is why they give the same bit
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import mujoco
 import numpy as np
@@ -82,6 +83,11 @@ def observe(layout: Layout, xpos: Array, xmat: Array) -> State:
     bodies[:, : len(layout.bodies)] = poses[:, layout.bodies]
     cylinder = np.zeros((S, 3)) if layout.cylinder is None else poses[:, layout.cylinder]
     return State(dlo=dlo, pusher=poses[:, layout.pusher, :2], bodies=bodies, cylinder=cylinder)
+
+
+def stack(states: Sequence[State]) -> dict[str, Array]:
+    """Joins the states of S simulations at T + 1 moments, field by field: (S, T + 1, …)."""
+    return {f.name: np.stack([getattr(state, f.name) for state in states], axis=1) for f in fields(State)}
 
 
 def fixed_point(layout: Layout, domain: Domain, xpos: Array) -> Array | None:
