@@ -22,7 +22,8 @@ import dlobench
 from dlobench.bench import results
 from dlobench.bench.plugins import load_task
 from dlobench.cli import main
-from dlobench.data.sets import SCALES, SETS, DomainSet, Extent
+from dlobench.data.domain_set import PARTS, SCALES, DomainSet, Extent
+from dlobench.data.sets import SETS
 from dlobench.data.store import Store
 
 META = SETS["meta-learning"]
@@ -47,7 +48,8 @@ def call(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tm
     monkeypatch.chdir(tmp_path / "here")
     monkeypatch.setenv("DLOBENCH_DATA", str(tmp_path / "data"))
     monkeypatch.delenv("DLOBENCH_DEBUG", raising=False)
-    monkeypatch.setitem(META.extents, "paper", META.extents["mini"])  # 157,500 shards are looked at in one test only
+    for of in SETS.values():  # 270,000 shards are looked at in one test only
+        monkeypatch.setitem(of.extents, "paper", of.extents["mini"])
 
     def run(*arguments: object) -> Done:
         monkeypatch.setattr(sys, "argv", ["dlobench", *map(str, arguments)])
@@ -84,7 +86,8 @@ def check_failed(done: Done, code: int, *parts: str) -> None:
 def mini(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Returns a data folder that holds all of meta/mini, made of random walks; to be read only."""
     store, task = Store(tmp_path_factory.mktemp("mini")), load_task("meta")
-    for unit in META.units(task.domains("mini"), task.trajectories("mini")):
+    spans = task.spans("mini")
+    for unit in META.units(span for part in PARTS for span in spans[part]):
         write(store, META, unit)
     return store.root
 
@@ -222,22 +225,26 @@ def test_lists_are_json_on_demand(call: Call) -> None:
     )
     sets = {(row["set"], row["scale"]): row for row in json.loads(call("list", "sets", "--json").out)}
     mini = sets["meta-learning", "mini"]
-    assert (mini["domains"], mini["trajectories"], mini["pushes"]) == (72, 20, 72 * 20 * 20)
+    assert (mini["domains"], mini["trajectories"], mini["pushes"]) == (90, 1800, 1800 * 20)
+    large, medium = sets["single-domain-large", "paper"], sets["single-domain-medium", "paper"]
+    assert (large["domains"], medium["domains"], sets["meta-learning", "paper"]["domains"]) == (18, 27, 6300)
+    assert min(row["core_hours"] for row in sets.values()) > 0
     for name in ("models", "tasks", "sets"):
         assert call("list", name).code == 0
 
 
 def test_sizes_are_promised_as_they_turn_out(call: Call, mini: Path) -> None:
-    row = next(row for row in json.loads(call("list", "sets", "--json").out) if row["scale"] == "mini")
-    real = sum(path.stat().st_size for path in mini.rglob("*.npy"))
-    assert real == pytest.approx(row["bytes"], rel=0.01)
+    rows = json.loads(call("list", "sets", "--json").out)
+    row = next(row for row in rows if (row["set"], row["scale"]) == (META.name, "mini"))
+    paths = list(mini.rglob("*.npy"))
+    assert sum(path.stat().st_size for path in paths) / len(paths) == pytest.approx(row["bytes"] / 90, rel=0.01)
 
 
 @pytest.fixture
 def tiny(monkeypatch: pytest.MonkeyPatch) -> DomainSet:
     """Cuts the set to one short trajectory a cell at every scale; seeds and places stay."""
-    extent = Extent(trajectories=1, per_cell=1, length=0.16, rigid_objects=0)
-    of = replace(META, block=1, extents=dict.fromkeys(SCALES, extent))
+    extent = Extent(train=1, valid=1, test=1, where={"length": 0.16, "rigid_objects": 0})
+    of = replace(META, block=1, extents=dict.fromkeys(SCALES, (extent,)))
     monkeypatch.setitem(SETS, META.name, of)
     return of
 
@@ -247,8 +254,8 @@ def test_a_look_at_all_scales_takes_seconds(copied: Path) -> None:
     done = entry("data", "status", "--json", "--data", copied, timeout=40)
     assert done.code == 0, done.err
     assert time.monotonic() - begin < 20, "it opens no array"
-    rows = {row["scale"]: row for row in json.loads(done.out)}
-    assert (rows["mini"]["done"], rows["mini"]["pending"], rows["mini"]["broken"]) == (72, 0, 0)
+    rows = {row["scale"]: row for row in json.loads(done.out) if row["set"] == META.name}
+    assert (rows["mini"]["done"], rows["mini"]["pending"], rows["mini"]["broken"]) == (72, 18, 0)
     assert rows["small"]["done"] == rows["paper"]["done"] == 72
     assert rows["mini"]["pushes"] == 72 * 400
 
@@ -266,7 +273,7 @@ def flip(path: Path) -> None:
 
 
 def test_broken_shards_are_found_and_repaired_to_the_same_bytes(call: Call, tiny: DomainSet, tmp_path: Path) -> None:
-    store, units = Store(tmp_path / "data"), list(tiny.units(tiny.domains("mini"), 1))
+    store, units = Store(tmp_path / "data"), list(tiny.units(tiny.spans("mini")))
     assert call("generate", META.name).code == 0
     assert call("data", "verify").code == 0
     whole = {name: content for name, content in files(store.root).items() if name.endswith(".npy")}
@@ -278,7 +285,7 @@ def test_broken_shards_are_found_and_repaired_to_the_same_bytes(call: Call, tiny
 
     done = call("data", "status", "--json")
     assert done.code == 0
-    row = next(row for row in json.loads(done.out) if row["scale"] == "mini")
+    row = next(r for r in json.loads(done.out) if (r["set"], r["scale"]) == (META.name, "mini"))
     assert (row["done"], row["pending"], row["broken"]) == (8, 0, 1), "status goes by sizes"
     assert str(truncated) in done.err
 
@@ -306,7 +313,7 @@ def test_broken_shards_are_found_and_repaired_to_the_same_bytes(call: Call, tiny
 def test_a_run_on_a_broken_shard_names_it(
     spoil: Callable[[Path], None], call: Call, copied: Path, tmp_path: Path
 ) -> None:
-    path = Store(copied).path(META, next(META.units(META.domains("mini"), META.block)))
+    path = Store(copied).path(META, next(META.units(META.spans("mini"))))
     spoil(path)
     before = files(copied)
     done = call(*RUN, "--data", copied, "--out", tmp_path / "out")

@@ -15,9 +15,10 @@ from pathlib import Path
 
 import pytest
 
-from dlobench.data.executors import check_workers, local
+from dlobench.data.domain_set import PUSHES, Unit
+from dlobench.data.executors import check_workers, find_executor, local
 from dlobench.data.generate import generate, status
-from dlobench.data.sets import PUSHES, SETS, Unit
+from dlobench.data.sets import SETS
 from dlobench.data.store import Store
 from dlobench.errors import RunError, UsageError
 
@@ -31,15 +32,22 @@ PROGRAM = """
 import sys
 from pathlib import Path
 from dlobench.data.generate import generate, status
-from dlobench.data.sets import SETS, Unit
+from dlobench.data.executors import find_executor
+from dlobench.data.domain_set import Unit
+from dlobench.data.sets import SETS
 from dlobench.data.store import Store
 if __name__ == "__main__":
     store = Store(Path(sys.argv[1]))
     units = [Unit("meta-learning", domain, 0, 1) for domain in range(0, 6300, 640)]
     found = status(store, SETS["meta-learning"], units)
     assert not found.broken, found.broken
-    generate(store, found.pending, 2, lambda done, total: None)
+    generate(store, SETS["meta-learning"], found.pending, find_executor("local", workers=2), lambda done, total: None)
 """
+
+
+def mini_units(domains: int) -> list[Unit]:
+    """Returns the shards of the first domains of meta-learning/mini."""
+    return list(META.units(META.spans("mini")[:domains]))
 
 
 def digests(folder: Path) -> dict[str, str]:
@@ -55,7 +63,7 @@ def quiet(done: int, total: int) -> None:
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """Returns the digests of what one worker makes."""
     folder = tmp_path_factory.mktemp("undisturbed")
-    generate(Store(folder), UNITS, 1, quiet)
+    generate(Store(folder), META, UNITS, find_executor("local", workers=1), quiet)
     return digests(folder)
 
 
@@ -114,7 +122,13 @@ def workers(group: int) -> list[int]:
 
 def test_units_are_counted_and_progress_reaches_the_end(tmp_path: Path) -> None:
     heard: list[tuple[int, int]] = []
-    generate(Store(tmp_path), UNITS[:2], 2, lambda done, total: heard.append((done, total)))
+    generate(
+        Store(tmp_path),
+        META,
+        UNITS[:2],
+        find_executor("local", workers=2),
+        lambda done, total: heard.append((done, total)),
+    )
     assert heard == [(0, 2 * PUSHES), (PUSHES, 2 * PUSHES), (2 * PUSHES, 2 * PUSHES)]
     found = status(Store(tmp_path), META, UNITS)
     assert (set(found.done), set(found.pending), found.broken) == (set(UNITS[:2]), set(UNITS[2:]), {})
@@ -123,7 +137,7 @@ def test_units_are_counted_and_progress_reaches_the_end(tmp_path: Path) -> None:
 def test_two_workers_make_the_same_bytes_as_one(undisturbed: dict[str, str], tmp_path: Path) -> None:
     assert len(undisturbed) == len(UNITS)
     assert len(set(undisturbed.values())) == len(UNITS), "no two domains are alike"
-    generate(Store(tmp_path), UNITS, 2, quiet)
+    generate(Store(tmp_path), META, UNITS, find_executor("local", workers=2), quiet)
     assert digests(tmp_path) == undisturbed
 
 
@@ -182,7 +196,7 @@ def check_interrupted(process: subprocess.Popen[str]) -> None:
 
 
 def test_ctrl_c_keeps_what_is_done(tmp_path: Path, processes: list[subprocess.Popen[str]]) -> None:
-    store, units = Store(tmp_path), list(META.units(META.spread("mini")[:3], META.block))
+    store, units = Store(tmp_path), mini_units(3)
     process = start_generate(tmp_path, domains=3, workers=2)
     processes.append(process)
     wait_for(lambda: len(status(store, META, units).done) == 2)  # one worker is idle now, the other busy
@@ -223,7 +237,7 @@ def test_a_killed_worker_fails_the_command_in_one_line(tmp_path: Path, processes
     assert process.returncode == 1, said
     assert "worker process died" in said.splitlines()[-1]
     assert "Traceback" not in said
-    assert not status(Store(tmp_path), META, list(META.units(META.spread("mini")[:2], META.block))).broken
+    assert not status(Store(tmp_path), META, mini_units(2)).broken
 
 
 def test_a_dying_worker_is_a_run_error() -> None:
@@ -239,7 +253,7 @@ def test_what_fails_in_a_worker_is_raised_here() -> None:
 def test_a_refusing_disk_ends_the_generation(tmp_path: Path) -> None:
     (tmp_path / "data").write_text("mine")
     with pytest.raises(RunError, match="cannot write"):
-        generate(Store(tmp_path / "data"), UNITS[:2], 1, quiet)
+        generate(Store(tmp_path / "data"), META, UNITS[:2], find_executor("local", workers=1), quiet)
     assert (tmp_path / "data").read_text() == "mine"
 
 
@@ -248,8 +262,14 @@ def test_every_piece_of_work_is_done_once(count: int) -> None:
     assert sorted(local(str, range(count), 2)) == [str(i) for i in range(count)]
 
 
-def test_negative_workers_are_refused_and_zero_takes_the_cores() -> None:
-    with pytest.raises(UsageError, match="-1"):
-        check_workers(-1)
-    assert check_workers(0) >= 1
+@pytest.mark.parametrize("workers", [-1, 0])
+def test_no_workers_are_refused_and_none_takes_the_cores(workers: int) -> None:
+    with pytest.raises(UsageError, match=f"--workers {workers} leaves nobody"):
+        check_workers(workers)
+    assert check_workers(None) >= 1
     assert check_workers(3) == 3
+
+
+def test_an_unknown_executor_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"'moon'; there are: local"):
+        find_executor("moon")

@@ -18,7 +18,8 @@ from test_cli import Done, check_failed, entry
 from test_store import files, write
 
 from dlobench.cli import main
-from dlobench.data.sets import PUSHES, SETS
+from dlobench.data.domain_set import PUSHES, Unit
+from dlobench.data.sets import SETS
 from dlobench.data.store import Store
 from dlobench.domain import BOX_SIZE, DLO_RADIUS, MAX_BODIES, MAX_SEGMENTS, SEGMENT_LENGTH, Attachment, Domain, sample
 from dlobench.errors import UsageError
@@ -27,7 +28,7 @@ from dlobench.world import pictures, render, style
 from dlobench.world.chain import CYLINDER_HEIGHT
 
 META = SETS["meta-learning"]
-INDEX = META.domains("mini")[-1]
+INDEX = max(span.domain for span in META.spans("mini"))
 PIXEL = 0.27 / 480  # m, about what a pixel of the camera above covers of the table
 Floats = NDArray[np.float64]
 
@@ -361,7 +362,7 @@ def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Trajectories:
     monkeypatch.delenv("DLOBENCH_DEBUG", raising=False)
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
-    return write(Store(tmp_path / "data"), META, next(META.units([INDEX], 1)))
+    return write(Store(tmp_path / "data"), META, Unit(META.name, INDEX, 0, META.block))
 
 
 @pytest.fixture
@@ -463,10 +464,11 @@ def test_a_trajectory_that_is_not_on_disk_is_named_with_what_makes_it(
     data = tmp_path / "no data"
     asked = ("--domain", f"meta-learning/{index}", "--trajectory", trajectory, "--data", data)
     done = call(*asked, "--out", tmp_path / "x.png")
-    count = META.spread(scale).index(index) + 1
+    spans = META.spans(scale)
+    count = [span.domain for span in spans].index(index) + 1
     command = f"`dlobench generate meta-learning --scale {scale} --domains {count} --data '{data}'`"
     check_failed(done, 1, str(data), command)
-    assert trajectory < META.extents[scale].trajectories, "that command makes the trajectory"
+    assert trajectory < spans[count - 1].count, "that command makes the trajectory"
     assert not (tmp_path / "x.png").exists()
 
 

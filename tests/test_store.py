@@ -19,8 +19,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dlobench.data.domain_set import PUSHES, DomainSet, Span, Unit
 from dlobench.data.generate import status
-from dlobench.data.sets import PUSHES, SETS, DomainSet, Unit
+from dlobench.data.sets import SETS
 from dlobench.data.store import WIDTH, Broken, Store, atomic_write, pack, unpack
 from dlobench.domain import MAX_BODIES, MAX_SEGMENTS, Domain
 from dlobench.errors import RunError
@@ -47,7 +48,7 @@ def fake(domain: Domain, trajectories: int, *, seed: int = 0, pushes: int = PUSH
 
 def write(store: Store, of: DomainSet, unit: Unit) -> Trajectories:
     """Writes a fake shard."""
-    trajectories = fake(of.domain(unit.domain), unit.count, seed=unit.domain)
+    trajectories = fake(of.domain(unit.domain), unit.count, seed=unit.domain, pushes=of.pushes)
     store.write(of, unit, trajectories, {"commands": 1}, 0.25)
     return trajectories
 
@@ -74,14 +75,14 @@ def test_what_is_packed_is_unpacked(index: int, K: int, pushes: int, seed: int) 
     rows = pack(trajectories)
     assert rows.shape == (K, pushes + 1, WIDTH)
     assert rows.dtype == np.float32
-    assert same(unpack(rows, domain), trajectories)
+    assert same(unpack(rows, geometry(domain)), trajectories)
 
 
 def test_every_column_of_a_shard_has_one_meaning() -> None:
     domain = META.domain(META.per_cell * len(META.cells) - 1)
     rows = np.arange(2 * (PUSHES + 1) * WIDTH, dtype=np.float32).reshape(2, PUSHES + 1, WIDTH)
     rows[:, -1, -4:] = 0  # no action follows the last state
-    assert np.array_equal(pack(unpack(rows, domain)), rows)
+    assert np.array_equal(pack(unpack(rows, geometry(domain))), rows)
 
 
 def test_a_written_shard_is_read_back_whole(tmp_path: Path) -> None:
@@ -98,11 +99,31 @@ def test_a_written_shard_is_read_back_whole(tmp_path: Path) -> None:
 
 def test_a_domain_is_cut_to_the_trajectories_asked_for(tmp_path: Path) -> None:
     store, block = Store(tmp_path), META.block
-    parts = [write(store, META, unit) for unit in META.units([3], block + 1)]
-    loaded = store.load_domain(META, 3, block + 1)
+    span = Span(3, "train", 0, block + 1)
+    parts = [write(store, META, unit) for unit in META.units([span])]
+    loaded = store.load_span(META, span)
     assert len(loaded) == block + 1
     assert np.array_equal(loaded.dlo[:block], parts[0].dlo)
     assert np.array_equal(loaded.dlo[block:], parts[1].dlo[:1])
+
+
+def test_a_span_may_begin_anywhere(tmp_path: Path) -> None:
+    store, of = Store(tmp_path), SETS["single-domain-large"]
+    (span,) = [span for span in of.spans("mini") if (span.domain, span.part) == (4, "test")]
+    assert span.first >= 1_000_000, "numbers of its own"
+    parts = [write(store, of, unit) for unit in of.units([span])]
+    assert len(parts) == 2
+    inside = replace(span, first=span.first + 3, count=12)
+    assert np.array_equal(store.load_span(of, inside).dlo[:7], parts[0].dlo[3:])
+    assert np.array_equal(store.load_span(of, inside).dlo[7:], parts[1].dlo[:5])
+
+
+def test_sets_have_trajectories_of_their_own_length(tmp_path: Path) -> None:
+    store, of = Store(tmp_path), SETS["distribution"]
+    unit = Unit(of.name, 2, 0, of.block)
+    written = write(store, of, unit)
+    assert written.pushes == of.pushes == 8
+    assert same(store.load(of, unit), written)
 
 
 def test_a_forgotten_shard_is_to_be_made_again(tmp_path: Path) -> None:

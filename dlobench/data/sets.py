@@ -70,7 +70,7 @@ _SETS = (
                 Extent(train=20, valid=20, test=20, where={"length": 0.12, "rigid_objects": (1, 3)}),
             ),
             "small": (
-                Extent(train=60, valid=60, test=60, per_cell=22, where=_ALONE),
+                Extent(train=60, valid=60, test=60, per_cell=24, where=_ALONE),
                 Extent(train=20, valid=20, test=20),
             ),
             "paper": (Extent(train=500, valid=500, test=500, per_cell=25),),
