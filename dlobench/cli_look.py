@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-
-from dlobench.errors import UsageError
 
 if TYPE_CHECKING:
     from dlobench.data.store import Store
@@ -72,15 +69,9 @@ def list_sets(as_json: Json = False) -> None:
 
 def open_store(data: Path | None) -> Store:
     """Opens the store of a data folder, by default $DLOBENCH_DATA, else the platform's cache folder."""
-    from platformdirs import user_cache_path
-
     from dlobench.data.store import Store
 
-    environment = os.environ.get("DLOBENCH_DATA")
-    root = (data or (Path(environment) if environment else user_cache_path("dlobench"))).expanduser().absolute()
-    if root.exists() and not root.is_dir():
-        raise UsageError(f"--data {root} is not a folder")
-    return Store(root)
+    return Store.open(data)
 
 
 def print_rows(rows: list[dict[str, Any]], as_json: bool, columns: list[str]) -> None:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from dlobench import machine
 from dlobench.data.domain_set import DomainSet, Span, Unit
 from dlobench.domain import MAX_BODIES, MAX_SEGMENTS
-from dlobench.errors import RunError
+from dlobench.errors import RunError, UsageError
 from dlobench.trajectories import Geometry, Trajectories, concatenate
 
 # Columns of a shard, in order: fields of `Trajectories` flattened. The last row of the actions is 0.
@@ -93,6 +93,16 @@ class Store:
     """Reads and writes the shards under one data folder."""
 
     root: Path
+
+    @classmethod
+    def open(cls, data: str | os.PathLike[str] | None = None) -> Store:
+        """Opens a data folder, by default $DLOBENCH_DATA, else the platform's cache; raises `UsageError` for a file."""
+        from platformdirs import user_cache_path  # noqa: PLC0415  # seldom needed
+
+        root = Path(data or os.environ.get("DLOBENCH_DATA") or user_cache_path("dlobench")).expanduser().absolute()
+        if root.exists() and not root.is_dir():
+            raise UsageError(f"data {root} is not a folder")
+        return cls(root)
 
     def path(self, of: DomainSet, unit: Unit) -> Path:
         """Returns where a unit's array is kept; its sidecar has the suffix .json."""
