@@ -1,25 +1,27 @@
 """Keeps shards on disk so that nothing half-written is ever taken for data.
 
-A shard is one float32 array (trajectories, pushes + 1, 114) in `<set key>/<domain>/<first>.npy`. Its JSON sidecar, with
-the SHA-256 of the array and where it came from, is written last: a shard without a valid sidecar does not exist yet.
+A shard is one float32 array (trajectories, pushes + 1, 114) in `<set key>/<domain>/<first>.npy`. Its sealed JSON
+sidecar, with the SHA-256 of the array and where it came from, is written last: without one a shard does not exist yet.
 """
 
 from __future__ import annotations
 
 import hashlib
 import io
-import json
+import math
 import os
+import uuid
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dlobench import machine
 from dlobench.data.domain_set import DomainSet, Span, Unit
+from dlobench.data.sidecar import SCHEMA, origin, seal, unseal
 from dlobench.domain import MAX_BODIES, MAX_SEGMENTS
 from dlobench.errors import RunError, UsageError
 from dlobench.trajectories import Geometry, Trajectories, concatenate
@@ -27,8 +29,6 @@ from dlobench.trajectories import Geometry, Trajectories, concatenate
 # Columns of a shard, in order: fields of `Trajectories` flattened. The last row of the actions is 0.
 COLUMNS = {"pusher": 2, "dlo": MAX_SEGMENTS * 3, "bodies": MAX_BODIES * 3, "cylinder": 3, "commanded": 2, "executed": 2}
 WIDTH = sum(COLUMNS.values())
-SCHEMA = 2
-_FIELDS = {"schema", "unit", "key", "domain", "seed", "sha256", "bytes", "account", "seconds", "versions", "cpu"}
 
 Rows = NDArray[np.float32]
 
@@ -77,15 +77,28 @@ def unpack(rows: Rows, geometry: Geometry) -> Trajectories:
     return Trajectories(dlo_mask=dlo_mask, body_mask=body_mask, boxes=boxes, **fields)
 
 
-def _is_sidecar(found: object) -> bool:
-    """Tells whether JSON has the fields of a sidecar, of the types that are reckoned with."""
-    return (
-        isinstance(found, dict)
-        and found.keys() >= _FIELDS
-        and found["schema"] == SCHEMA
-        and type(found["bytes"]) is int
-        and type(found["seconds"]) in (int, float)
-    )
+_definition = lru_cache(maxsize=64)(DomainSet.definition)  # the shards of a domain are looked at one after another
+
+
+@lru_cache(maxsize=64)
+def _header(shape: tuple[int, ...]) -> bytes:
+    """Returns what the file of a float32 array of some shape begins with."""
+    buffer = io.BytesIO()
+    np.lib.format.write_array_header_1_0(buffer, {"descr": "<f4", "fortran_order": False, "shape": shape})
+    return buffer.getvalue()
+
+
+def _array(content: NDArray[np.uint8], shape: tuple[int, ...]) -> Rows | None:
+    """Views the bytes of a file as a float32 array of some shape; None for all that is not just that."""
+    header = _header(shape)
+    if content[: len(header)].tobytes() == header:
+        body = content[len(header) :]
+        return body.view(np.float32).reshape(shape) if body.size == 4 * math.prod(shape) else None
+    try:  # another version of NumPy may have padded the header otherwise
+        rows = np.lib.format.read_array(io.BytesIO(content.tobytes()), allow_pickle=False)
+    except (ValueError, EOFError):
+        return None
+    return rows if rows.shape == shape and rows.dtype == np.float32 else None
 
 
 @dataclass(frozen=True)
@@ -111,24 +124,25 @@ class Store:
     def sidecar(self, of: DomainSet, unit: Unit) -> dict[str, Any] | None:
         """Returns a shard's sidecar, or None where the shard is still to be made.
 
-        Raises `Broken` when sidecar and array do not belong together. Reads no array; `load` checks every byte.
+        Raises `Broken` when sidecar and array do not belong together. Reads no array; `rows` checks every byte.
         """
         path = self.path(of, unit)
         try:
-            found: dict[str, Any] = json.loads(path.with_suffix(".json").read_text())
+            found = unseal(path.with_suffix(".json").read_bytes())
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, RecursionError) as error:
-            raise Broken(path, f"unreadable sidecar: {error}") from error
-        if not _is_sidecar(found):
-            raise Broken(path, "its sidecar is not one of ours")
+        except OSError as error:
+            raise Broken(path, f"unreadable sidecar: {error.strerror}") from error
+        except ValueError as error:
+            raise Broken(path, str(error)) from error
+        if found["key"] != of.key:
+            raise Broken(path, f"it was made as {found['key']}, this is {of.key}")
         if (
-            found["key"] != of.key
-            or found["unit"] != asdict(unit)
+            found["unit"] != vars(unit)
             or found["seed"] != of.seed(unit.domain, unit.first)
-            or found["domain"] != of.definition(unit.domain)
+            or found["domain"] != _definition(of, unit.domain)
         ):
-            raise Broken(path, f"it was made for another set, domain or version than {of.key}")
+            raise Broken(path, "it was made of other trajectories or another domain")
         try:
             size = path.stat().st_size
         except OSError as error:
@@ -139,23 +153,24 @@ class Store:
 
     def load(self, of: DomainSet, unit: Unit) -> Trajectories:
         """Loads a shard, every byte checked against its digest; raises `Broken`."""
-        found = self.sidecar(of, unit)
-        path = self.path(of, unit)
+        return unpack(self.rows(of, unit), of.geometry(unit.domain))
+
+    def rows(self, of: DomainSet, unit: Unit) -> Rows:
+        """Reads the rows of a shard (K, T+1, 114), every byte checked against its digest; raises `Broken`."""
+        found, path = self.sidecar(of, unit), self.path(of, unit)
         if found is None:
             raise Broken(path, "it has no sidecar")
         try:
-            content = path.read_bytes()
+            content = np.fromfile(path, np.uint8)
         except OSError as error:
             raise Broken(path, f"unreadable: {error.strerror}") from error
         if hashlib.sha256(content).hexdigest() != found["sha256"]:
             raise Broken(path, "its SHA-256 differs from the one in its sidecar")
-        try:
-            rows = np.lib.format.read_array(io.BytesIO(content), allow_pickle=False)
-        except (ValueError, EOFError) as error:
-            raise Broken(path, f"it holds no plain array: {error}") from error
-        if rows.shape != (unit.count, of.pushes + 1, WIDTH) or rows.dtype != np.float32 or not np.isfinite(rows).all():
-            raise Broken(path, f"{rows.dtype} {rows.shape} is not a finite shard")
-        return unpack(rows, of.geometry(unit.domain))
+        shape = (unit.count, of.pushes + 1, WIDTH)
+        rows = _array(content, shape)
+        if rows is None or not np.isfinite(rows).all():
+            raise Broken(path, f"it holds no finite float32 array {shape}")
+        return rows
 
     def load_span(self, of: DomainSet, span: Span) -> Trajectories:
         """Loads consecutive trajectories of a domain into memory, every byte checked; raises `Broken`."""
@@ -182,12 +197,11 @@ class Store:
             "bytes": len(content),
             "account": account,
             "seconds": round(seconds, 3),
-            "versions": machine.versions(),
-            "cpu": machine.cpu(),
+            **origin(),
         }
         path = self.path(of, unit)
         atomic_write(path, content)
-        atomic_write(path.with_suffix(".json"), json.dumps(about, indent=1).encode())
+        atomic_write(path.with_suffix(".json"), seal(about))
 
     def discard(self, of: DomainSet, unit: Unit) -> None:
         """Forgets a shard: removes its sidecar, so that it counts as still to be made."""
@@ -196,7 +210,7 @@ class Store:
 
 def atomic_write(path: Path, content: bytes) -> None:
     """Writes a file so that it is there whole or not at all; raises `RunError` when the disk refuses."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")  # another host may have a process of this number
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
