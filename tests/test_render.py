@@ -456,7 +456,7 @@ def test_bad_usage_is_told_in_one_line(
 
 
 @pytest.mark.parametrize(
-    ("index", "trajectory", "scale"), [(INDEX, 0, "mini"), (INDEX, 20, "small"), (INDEX, 60, "paper"), (0, 0, "paper")]
+    ("index", "trajectory", "scale"), [(INDEX, 0, "mini"), (INDEX, 20, "small"), (INDEX, 60, "paper"), (1, 0, "paper")]
 )
 def test_a_trajectory_that_is_not_on_disk_is_named_with_what_makes_it(
     index: int, trajectory: int, scale: Any, call: Call, tmp_path: Path
