@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -24,15 +25,32 @@ def generate(
     set_name: SetName,
     scale: Scale = "mini",
     domains: Annotated[int | None, typer.Option(help="Only so many domains, spread over the cells.")] = None,
-    data: Data = None,
-    workers: Workers = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            help="Data folder; all nodes of a cluster must see it. Default: $DLOBENCH_DATA, else the platform's cache."
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(help="Processes, CPUs of a Ray of its own, or SLURM tasks at a time. Default: cores; SLURM 64."),
+    ] = None,
     executor: Annotated[str, typer.Option(help="Where to run: local, ray or slurm.")] = "local",
+    address: Annotated[
+        str | None,
+        typer.Option(metavar="HOST:PORT", help="The Ray cluster to use. Default: one of its own on this machine."),
+    ] = None,
+    slurm: Annotated[
+        list[str] | None, typer.Option(metavar="KEY=VALUE", help="An option of sbatch, as in partition=batch.")
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Write SLURM's script, and submit nothing.")] = False,
 ) -> None:
     """Generate what is missing of a set. Stop it at any time: the next call goes on."""
-    from dlobench.bench.run import ensure_data
+    from dlobench.bench.run import ensure_data, missing
     from dlobench.console import TerminalReporter
     from dlobench.data.executors import find_executor
     from dlobench.data.sets import find, find_scale
+    from dlobench.data.slurm import Slurm
 
     of, chosen = find(set_name), find_scale(scale)
     spans = of.spans(chosen)
@@ -40,13 +58,24 @@ def generate(
     if domains is not None and not 1 <= domains <= len(order):
         raise UsageError(f"--domains {domains} is outside 1–{len(order)}, what {set_name}/{scale} has")
     wanted = set(order[:domains])
-    ensure_data(
-        open_store(data),
-        of,
-        [span for span in spans if span.domain in wanted],
-        executor=find_executor(executor, workers=workers),
-        reporter=TerminalReporter(),
+    spans = [span for span in spans if span.domain in wanted]
+    store, reporter = open_store(data), TerminalReporter()
+    where = find_executor(
+        executor,
+        workers=workers,
+        address=address,
+        slurm=slurm or (),
+        dry_run=dry_run,
+        folder=store.root / "slurm",
     )
+    if dry_run and isinstance(where, Slurm):
+        pending, there = missing(store, of, spans)
+        reporter.say(f"data: {there} shards reused, {len(pending)} to generate into {store.root / of.key}")
+        if pending:
+            path, tasks = where.script(len(pending))
+            reporter.say(f"data: {path} holds what would be submitted, an array of {tasks}; nothing was")
+        return
+    ensure_data(store, of, spans, executor=where, reporter=reporter)
 
 
 @data_app.command("status")

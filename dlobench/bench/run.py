@@ -20,10 +20,10 @@ from dlobench.bench.order import Order, recordable
 from dlobench.bench.plugins import hyperparameters
 from dlobench.bench.results import CellScore, FitReport, Provenance, Record
 from dlobench.bench.task import Fit, split_digest
-from dlobench.data.domain_set import PARTS, DomainSet, Part, Span
+from dlobench.data.domain_set import PARTS, DomainSet, Part, Span, Unit
 from dlobench.data.executors import Executor
 from dlobench.data.generate import generate, status
-from dlobench.data.store import Store
+from dlobench.data.store import Store, data_bytes
 from dlobench.errors import RunError
 from dlobench.nn.budget import Listener, Log
 from dlobench.trajectories import Trajectories
@@ -41,8 +41,8 @@ class Reporter(Protocol):
         """Shows progress, with rate and ETA, while the context lasts."""
 
 
-def ensure_data(store: Store, of: DomainSet, spans: Iterable[Span], *, executor: Executor, reporter: Reporter) -> None:
-    """Generates what is missing; raises `RunError` for what is broken, which is never overwritten unasked."""
+def missing(store: Store, of: DomainSet, spans: Iterable[Span]) -> tuple[list[Unit], int]:
+    """Returns the shards to generate, and how many are there; raises `RunError` where one is broken."""
     units = list(of.units(spans))
     found = status(store, of, units)
     if found.broken:
@@ -51,13 +51,26 @@ def ensure_data(store: Store, of: DomainSet, spans: Iterable[Span], *, executor:
             f"{len(found.broken)} of {len(units)} shards are broken, the first {store.path(of, unit)} ({why}); "
             f"`dlobench data repair {of.name}` generates them again"
         )
+    return found.pending, len(found.done)
+
+
+def ensure_data(store: Store, of: DomainSet, spans: Iterable[Span], *, executor: Executor, reporter: Reporter) -> None:
+    """Generates what is missing; raises `RunError` for what is broken, which is never overwritten unasked."""
+    pending, there = missing(store, of, spans)
     folder = store.root / of.key
-    if not found.pending:
-        reporter.say(f"data: all {len(units)} shards reused from {folder}, nothing to generate")
+    if not pending:
+        reporter.say(f"data: all {there} shards reused from {folder}, nothing to generate")
         return
-    reporter.say(f"data: {len(found.done)} shards reused, {len(found.pending)} to generate into {folder}")
+    reporter.say(f"data: {there} shards reused, {len(pending)} to generate into {folder}")
+    begin = time.perf_counter()
     with reporter.bar("generating", "pushes") as listen:
-        generate(store, of, found.pending, executor, lambda done, total: listen(done, total, {}))
+        generate(store, of, pending, executor, lambda done, total: listen(done, total, {}))
+    seconds = time.perf_counter() - begin
+    pushes = sum(unit.count for unit in pending) * of.pushes
+    reporter.say(
+        f"data: {len(pending)} shards generated, {pushes:,} pushes in {seconds:,.1f} s "
+        f"({pushes / seconds:,.0f} pushes/s), {data_bytes(of, pending):,} bytes"
+    )
 
 
 def run(

@@ -6,12 +6,14 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
+from importlib.util import find_spec
 from itertools import islice
+from pathlib import Path
 from typing import Protocol, TypeVar
 
 from dlobench.errors import RunError, UsageError
@@ -19,7 +21,7 @@ from dlobench.errors import RunError, UsageError
 Work = TypeVar("Work")
 Result = TypeVar("Result")
 
-EXECUTORS = ("local",)
+EXECUTORS = ("local", "ray", "slurm")
 
 
 def cores() -> int:
@@ -41,11 +43,51 @@ class Executor(Protocol):
         """Yields the results; the first failure ends everything. Pieces are atomic and may run more than once."""
 
 
-def find_executor(name: str, *, workers: int | None = None) -> Executor:
-    """Returns an executor by name; raises `UsageError` naming the choices."""
+def find_executor(
+    name: str,
+    *,
+    workers: int | None = None,
+    address: str | None = None,
+    slurm: Sequence[str] = (),
+    dry_run: bool = False,
+    folder: Path | None = None,
+) -> Executor:
+    """Returns an executor by name, checked as far as it can be before there is work.
+
+    `address` is for ray, `slurm` (sbatch's options), `dry_run` and the `folder` that all nodes see for slurm. Raises
+    `UsageError` for an unknown name, naming the choices, and for what does not go with the executor.
+    """
     if name not in EXECUTORS:
         raise UsageError(f"unknown executor {name!r}; there are: {', '.join(EXECUTORS)}")
-    return partial(local, workers=check_workers(workers))
+    count = check_workers(workers)
+    given = {"--address": ("ray", address), "--slurm": ("slurm", slurm), "--dry-run": ("slurm", dry_run)}
+    for option, (executor, value) in given.items():
+        if value and executor != name:
+            raise UsageError(f"{option} goes with --executor {executor}, not with {name}")
+    if name == "local":
+        return partial(local, workers=count)
+    _need("ray" if name == "ray" else "submitit", name)
+    if name == "ray":
+        from dlobench.data import ray_cluster
+
+        if address is not None and workers is not None:
+            raise UsageError(f"--workers {workers} is for a Ray of its own; the one at {address} has its own CPUs")
+        if address is not None:
+            ray_cluster.check_address(address)
+        return partial(ray_cluster.run, workers=count, address=address)
+    from dlobench.data.slurm import WORKERS, Slurm, check_sbatch, parse_options
+
+    if not dry_run:
+        check_sbatch()
+    if folder is None:
+        raise UsageError("--executor slurm needs a folder that all nodes see")
+    return Slurm(folder, parse_options(slurm), workers=workers or WORKERS)
+
+
+def _need(package: str, name: str) -> None:
+    """Refuses an executor whose package is not installed."""
+    if find_spec(package) is None:
+        raise UsageError(f"--executor {name} needs {package}: pip install 'dlobench[cluster]'")
 
 
 def local(function: Callable[[Work], Result], work: Iterable[Work], workers: int) -> Iterator[Result]:

@@ -45,8 +45,8 @@ class Broken(RunError):
         return f"shard {self.path} is broken ({self.why}); `dlobench data repair` with its set generates it again"
 
 
-def data_bytes(of: DomainSet, spans: Iterable[Span]) -> int:
-    """Returns how many bytes the arrays of these spans take on disk, headers and sidecars aside."""
+def data_bytes(of: DomainSet, spans: Iterable[Span | Unit]) -> int:
+    """Returns how many bytes the arrays of these spans or units take on disk, headers and sidecars aside."""
     return sum(span.count for span in spans) * (of.pushes + 1) * 4 * WIDTH
 
 
