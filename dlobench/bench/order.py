@@ -12,7 +12,6 @@ from typing import Any
 from dlobench.bench.plugins import ModelPlugin, hyperparameters
 from dlobench.bench.task import Fit, Task
 from dlobench.data.domain_set import DomainSet, Part, ScaleName, Span
-from dlobench.data.sets import find
 from dlobench.errors import UsageError
 from dlobench.nn.budget import Budget
 
@@ -34,7 +33,7 @@ class Order:
     @property
     def of(self) -> DomainSet:
         """Returns the set that the task reads."""
-        return find(self.task.set)
+        return self.task.of
 
     @cached_property
     def spans(self) -> dict[Part, list[Span]]:

@@ -6,9 +6,10 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-from dlobench.data.domain_set import PARTS, Cell, Part, ScaleName, Span
+from dlobench.data.domain_set import PARTS, Cell, DomainSet, Part, ScaleName, Span
+from dlobench.data.imported_set import ImportedSet
 from dlobench.data.sets import find
 from dlobench.errors import UsageError
 
@@ -47,10 +48,21 @@ class Task:
     where: Mapping[str, object] = field(
         default_factory=dict
     )  # fields of the set's cells and their values; a tuple: any of them
+    imported: ImportedSet | None = None  # the set, where it is none of ours
+
+    @property
+    def of(self) -> DomainSet:
+        """Returns the set that the task reads."""
+        return find(self.set) if self.imported is None else self.imported
+
+    def on(self, imported: ImportedSet) -> Task:
+        """Returns the task on an imported set, whose every byte its name tells: a board never mixes it with another."""
+        of = imported.parted_like(self.of)
+        return replace(self, name=f"{self.name}-on-{of.key}", set=of.name, imported=of)
 
     def check(self, scale: ScaleName) -> None:
         """Raises `UsageError`, naming field and value, for what no run could honour at a scale."""
-        chosen, of = self.scale(scale), find(self.set)
+        chosen, of = self.scale(scale), self.of
         most = {part: min((s.count for s in self._spans(scale) if s.part == part), default=0) for part in PARTS}
         unseen = min(most["valid"], most["test"])
 
@@ -91,7 +103,7 @@ class Task:
 
     def _spans(self, scale: ScaleName) -> list[Span]:
         """Returns the set's spans that the task is about, whole and in the order of their domains."""
-        of, fields = find(self.set), Cell.__dataclass_fields__
+        of, fields = self.of, Cell.__dataclass_fields__
         for name in self.where:
             if name not in fields:
                 raise UsageError(f"task {self.name}: where has {name!r}, a cell has: {', '.join(fields)}")

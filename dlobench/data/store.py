@@ -77,7 +77,9 @@ def unpack(rows: Rows, geometry: Geometry) -> Trajectories:
     return Trajectories(dlo_mask=dlo_mask, body_mask=body_mask, boxes=boxes, **fields)
 
 
-_definition = lru_cache(maxsize=64)(DomainSet.definition)  # the shards of a domain are looked at one after another
+@lru_cache(maxsize=64)  # the shards of a domain are looked at one after another
+def _definition(of: DomainSet, index: int) -> dict[str, Any]:
+    return of.definition(index)
 
 
 @lru_cache(maxsize=64)
@@ -110,7 +112,7 @@ class Store:
     @classmethod
     def open(cls, data: str | os.PathLike[str] | None = None) -> Store:
         """Opens a data folder, by default $DLOBENCH_DATA, else the platform's cache; raises `UsageError` for a file."""
-        from platformdirs import user_cache_path  # noqa: PLC0415  # seldom needed
+        from platformdirs import user_cache_path  # seldom needed
 
         root = Path(data or os.environ.get("DLOBENCH_DATA") or user_cache_path("dlobench")).expanduser().absolute()
         if root.exists() and not root.is_dir():
@@ -164,7 +166,7 @@ class Store:
             content = np.fromfile(path, np.uint8)
         except OSError as error:
             raise Broken(path, f"unreadable: {error.strerror}") from error
-        if hashlib.sha256(content).hexdigest() != found["sha256"]:
+        if hashlib.sha256(content.data).hexdigest() != found["sha256"]:
             raise Broken(path, "its SHA-256 differs from the one in its sidecar")
         shape = (unit.count, of.pushes + 1, WIDTH)
         rows = _array(content, shape)

@@ -1,0 +1,67 @@
+"""Speaks the verbs that exchange data with others: `dlobench data export|import` in the original layout."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dlobench.cli_look import Data, open_store
+from dlobench.errors import UsageError
+
+
+def export(
+    set_name: Annotated[str, typer.Argument(metavar="SET", help="A set of `dlobench list sets`, or an imported one.")],
+    original: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder to write in the original layout, a folder a domain.")
+    ],
+    scale: Annotated[str, typer.Option(help="How much: mini, small or paper.")] = "mini",
+    domains: Annotated[int | None, typer.Option(help="Only so many domains, spread over the cells.")] = None,
+    part: Annotated[str | None, typer.Option(help="Only train, valid or test. Default: all.")] = None,
+    data: Data = None,
+) -> None:
+    """Write what was generated of a set in the layout of the original DLO@Scale."""
+    from dlobench.console import TerminalReporter
+    from dlobench.data.domain_set import PARTS
+    from dlobench.data.imported import find_imported, imported_sets
+    from dlobench.data.original import export as write
+    from dlobench.data.sets import find, find_scale
+
+    store, chosen, reporter = open_store(data), find_scale(scale), TerminalReporter()
+    known = next((name for name in PARTS if name == part), None)
+    if known != part:
+        raise UsageError(f"--part {part!r} is not one of {', '.join(PARTS)}")
+    imported = any(of.name == set_name for of in imported_sets(store))
+    of = find_imported(store, set_name) if imported else find(set_name)
+    folder = original.expanduser().absolute()
+    with reporter.bar("exporting", "domains") as listen:
+        count = write(
+            store,
+            of,
+            chosen,
+            folder,
+            domains=domains,
+            part=known,
+            progress=lambda done, total: listen(done, total, {}),
+        )
+    reporter.say(f"data: {count} domains of {of.name} in {folder}")
+
+
+def import_(
+    original: Annotated[Path, typer.Option(metavar="DIR", help="Folder in the original layout, a folder a domain.")],
+    name: Annotated[str, typer.Option(help="What the set shall be called.")] = "original",
+    data: Data = None,
+) -> None:
+    """Read a folder in the layout of the original DLO@Scale, to run tasks on it: `dlobench run --on NAME`."""
+    from dlobench.console import TerminalReporter
+    from dlobench.data.imported import import_set
+
+    store, reporter = open_store(data), TerminalReporter()
+    with reporter.bar("importing", "domains") as listen:
+        of = import_set(store, original.expanduser().absolute(), name, lambda done, total: listen(done, total, {}))
+    trajectories = sum(domain.trajectories for domain in of.domains.values())
+    reporter.say(f"data: {len(of)} domains, {trajectories:,} trajectories in {store.root / of.key}")
+    for text in sorted({text for domain in of.domains.values() for text in domain.assumed}):
+        reporter.say(f"data: the files do not say it, so {text}")
+    reporter.say(f"data: `dlobench run --task TASK --model MODEL --on {of.name}` runs a task on it")
