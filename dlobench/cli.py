@@ -16,9 +16,10 @@ import typer
 
 from dlobench import __version__
 from dlobench.cli_board import leaderboard_app, show
-from dlobench.cli_data import Scale, Workers, data_app, generate
+from dlobench.cli_data import Scale, data_app, generate
 from dlobench.cli_look import Data, list_app, open_store
 from dlobench.cli_render import render
+from dlobench.cli_store import Workers
 from dlobench.cli_validate import validate
 from dlobench.errors import RunError, UsageError
 
@@ -68,6 +69,9 @@ def run(
     ] = None,
     max_steps: Annotated[int | None, typer.Option(min=1, help="Cut every fit after so many steps.")] = None,
     max_minutes: Annotated[float | None, typer.Option(min=0.0, help="Stop every fit after so many minutes.")] = None,
+    on: Annotated[
+        str | None, typer.Option(metavar="NAME", help="An imported set to run the task on, rather than its own.")
+    ] = None,
     data: Data = None,
     out: Annotated[Path, typer.Option(help="Where records and their leaderboard go.")] = Path("runs"),
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
@@ -82,12 +86,14 @@ def run(
     from dlobench.bench.plugins import load_model, load_task, parse_settings
     from dlobench.console import TerminalReporter
     from dlobench.data.executors import find_executor
+    from dlobench.data.imported import check_whole, find_imported
     from dlobench.data.sets import find_scale
     from dlobench.nn.budget import Budget
 
-    plugin = load_model(model)
+    plugin, asked, store = load_model(model), load_task(task), open_store(data)
+    imported = None if on is None else find_imported(store, on)
     wanted = order(
-        load_task(task),
+        asked if imported is None else asked.on(imported),
         find_scale(scale),
         plugin,
         K,
@@ -103,10 +109,12 @@ def run(
         results.read_all(out)  # a foreign file would spoil the board: better said now than after the fit
     if max_minutes is not None and not math.isfinite(max_minutes):
         raise UsageError(f"--max-minutes {max_minutes} is not a finite number of minutes")
+    if imported is not None:
+        check_whole(store, imported, [span for spans in wanted.spans.values() for span in spans])
     command = shlex.join(["dlobench", *sys.argv[1:]]).encode(errors="backslashreplace").decode()
     record = bench.run(
         wanted,
-        open_store(data),
+        store,
         out,
         command=command,
         executor=find_executor("local", workers=workers),

@@ -20,8 +20,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dlobench.data.domain_set import PUSHES, DomainSet, Span, Unit
-from dlobench.data.generate import status
 from dlobench.data.sets import SETS
+from dlobench.data.status import status
 from dlobench.data.store import WIDTH, Broken, Store, atomic_write, pack, unpack
 from dlobench.domain import MAX_BODIES, MAX_SEGMENTS, Domain
 from dlobench.errors import RunError

@@ -22,7 +22,8 @@ from dlobench.bench.results import CellScore, FitReport, Provenance, Record
 from dlobench.bench.task import Fit, split_digest
 from dlobench.data.domain_set import PARTS, DomainSet, Part, Span, Unit
 from dlobench.data.executors import Executor
-from dlobench.data.generate import generate, status
+from dlobench.data.generate import generate
+from dlobench.data.status import status
 from dlobench.data.store import Store, data_bytes
 from dlobench.errors import RunError
 from dlobench.nn.budget import Listener, Log
