@@ -17,8 +17,9 @@ import pytest
 
 from dlobench.data.domain_set import PUSHES, Unit
 from dlobench.data.executors import check_workers, find_executor, local
-from dlobench.data.generate import generate, status
+from dlobench.data.generate import generate
 from dlobench.data.sets import SETS
+from dlobench.data.status import status
 from dlobench.data.store import Store
 from dlobench.errors import RunError, UsageError
 
@@ -31,7 +32,8 @@ UNITS = [Unit(META.name, domain, 0, 1) for domain in range(0, len(META.cells) * 
 PROGRAM = """
 import sys
 from pathlib import Path
-from dlobench.data.generate import generate, status
+from dlobench.data.generate import generate
+from dlobench.data.status import status
 from dlobench.data.executors import find_executor
 from dlobench.data.domain_set import Unit
 from dlobench.data.sets import SETS
