@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import subprocess
 import sys
 import time
@@ -16,7 +17,7 @@ import pytest
 from test_store import files, full, write
 
 from dlobench.data import parquet, table
-from dlobench.data.domain_set import PARTS, SCALES, Span
+from dlobench.data.domain_set import PARTS, SCALES, DomainSet, Span
 from dlobench.data.sets import SETS
 from dlobench.data.store import Broken, Store
 from dlobench.domain import Domain, RigidBody
@@ -59,7 +60,7 @@ def test_a_row_holds_all_of_its_domain() -> None:
 
 
 @EVERY_SET
-def test_the_table_counts_what_the_scales_hold(of: table.DomainSet) -> None:
+def test_the_table_counts_what_the_scales_hold(of: DomainSet) -> None:
     rows = table.domains_table(of)
     assert list(rows["domain"]) == list(range(len(of)))
     assert list(rows["id"]) == [f"{of.name}/{i}" for i in range(len(of))]
@@ -73,10 +74,10 @@ def test_the_table_counts_what_the_scales_hold(of: table.DomainSet) -> None:
 
 
 @EVERY_SET
-def test_frame_and_file_say_the_same(of: table.DomainSet) -> None:
+def test_frame_and_file_say_the_same(of: DomainSet) -> None:
     frame, file = table.domains_table(of), pd.read_parquet(io.BytesIO(table.content(of)))
     assert list(frame.columns) == list(file.columns) == list(table.about_columns())
-    for name in frame:
+    for name in table.about_columns():
         if "_densities_" in name:
             assert [list(v) if isinstance(v, list) else None for v in frame[name]] == [
                 None if v is None else list(v) for v in file[name]
@@ -118,14 +119,14 @@ def store(tmp_path: Path) -> Store:
     return Store(tmp_path / "data")
 
 
-def made(store: Store, of: table.DomainSet, spans: list[Span]) -> dict[Span, Trajectories]:
+def made(store: Store, of: DomainSet, spans: list[Span]) -> dict[Span, Trajectories]:
     """Writes fake shards for some spans and returns what they hold."""
     for unit in of.units(spans):
         write(store, of, unit)
     return {span: store.load_span(of, span) for span in spans}
 
 
-def check_same(of: table.DomainSet, span: Span, rows: pd.DataFrame, held: Trajectories) -> None:
+def check_same(of: DomainSet, span: Span, rows: pd.DataFrame, held: Trajectories) -> None:
     """Sees every number of some trajectories in the rows of an export."""
     domain, K, T = of.domain(span.domain), len(held), held.pushes
     rows = rows[(rows["part"] == span.part)].reset_index(drop=True)
@@ -146,12 +147,12 @@ def check_same(of: table.DomainSet, span: Span, rows: pd.DataFrame, held: Trajec
     for axis, name in enumerate(("x_m", "y_m")):
         assert np.array_equal(rows[f"pusher_{name}"], held.pusher[..., axis].reshape(-1))
         for field in ("commanded", "executed"):
-            found = rows[f"{field}_{name}"].to_numpy().reshape(K, T + 1)
-            assert np.array_equal(found[:, :-1], getattr(held, field)[..., axis])
-            assert np.isnan(found[:, -1]).all(), "no push follows the last state"
+            pushes = rows[f"{field}_{name}"].to_numpy().reshape(K, T + 1)
+            assert np.array_equal(pushes[:, :-1], getattr(held, field)[..., axis])
+            assert np.isnan(pushes[:, -1]).all(), "no push follows the last state"
 
 
-def cases() -> list[tuple[table.DomainSet, list[Span]]]:
+def cases() -> list[tuple[DomainSet, list[Span]]]:
     """Returns spans of all kinds: several parts of a domain, ends within a shard, bodies, another length."""
     large = [s for s in LARGE.spans("mini") if s.domain in (1, 9)]
     large[0] = replace(large[0], count=13)
@@ -163,7 +164,7 @@ def cases() -> list[tuple[table.DomainSet, list[Span]]]:
 
 
 @pytest.mark.parametrize(("of", "spans"), cases(), ids=lambda value: getattr(value, "name", ""))
-def test_an_export_holds_every_number(of: table.DomainSet, spans: list[Span], store: Store, tmp_path: Path) -> None:
+def test_an_export_holds_every_number(of: DomainSet, spans: list[Span], store: Store, tmp_path: Path) -> None:
     held, out = made(store, of, spans), tmp_path / "a" / "out"
     states = parquet.export(store, of, spans, out)
     assert sorted(files(out)) == sorted({"domains.parquet", *(f"states/{span.domain:05d}.parquet" for span in spans)})
@@ -227,7 +228,7 @@ def test_what_is_missing_or_broken_is_not_exported(store: Store, tmp_path: Path)
 def test_a_full_disk_leaves_no_export(store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     spans = LARGE.spans("mini")[:1]
     made(store, LARGE, spans)
-    monkeypatch.setattr(parquet.os, "fsync", full)
+    monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(RunError, match="No space left") as refused:
         parquet.export(store, LARGE, spans, tmp_path / "out")
     assert str(tmp_path / "out") in str(refused.value)
