@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Numbers = NDArray[np.intp]
 
 STATE = COLUMNS["pusher"] + COLUMNS["dlo"] + COLUMNS["bodies"]  # 107, the columns of a state; they come first
-CHUNK = 1024  # windows that are gathered at once and handed out in minibatches; about 1 MB, which a cache holds
+CHUNK = 512  # windows that are gathered at once and handed out in minibatches; half a megabyte, which a cache holds
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ class Minibatches:
         before, after = np.empty((2, B, WIDTH), np.float32)
         pairs = np.empty((B, n), np.complex64)  # a displacement is one item to copy
         if len(self._flat) == 1:
-            domain = np.broadcast_to(self._domains, B).copy()
+            domain = np.full(B, self._domains[0])
             self._copy(0, windows, before, pairs, after)
         else:
             source = np.searchsorted(self._first, windows, "right") - 1
