@@ -59,7 +59,7 @@ class Minibatch:
 
     def torch(self) -> Minibatch:
         """Returns the windows as tensors, which share the memory of the arrays."""
-        import torch  # noqa: PLC0415  # only where it is used
+        import torch
 
         tensors: dict[str, Tensor] = {name: torch.from_numpy(rows) for name, rows in vars(self).items()}
         return Minibatch(**tensors)

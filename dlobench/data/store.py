@@ -210,14 +210,15 @@ class Store:
         self.path(of, unit).with_suffix(".json").unlink(missing_ok=True)
 
 
-def atomic_write(path: Path, content: bytes) -> None:
-    """Writes a file so that it is there whole or not at all; raises `RunError` when the disk refuses."""
+def atomic_write(path: Path, content: bytes | Iterable[bytes | memoryview]) -> None:
+    """Writes a file, given whole or in pieces, so that it is there whole or not at all; raises `RunError` otherwise."""
     temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")  # another host may have a process of this number
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             with temporary.open("wb") as file:
-                file.write(content)
+                for piece in (content,) if isinstance(content, bytes) else content:
+                    file.write(piece)
                 file.flush()
                 os.fsync(file.fileno())
             temporary.replace(path)
