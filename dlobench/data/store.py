@@ -83,7 +83,7 @@ def _definition(of: DomainSet, index: int) -> dict[str, Any]:
 
 
 @lru_cache(maxsize=64)
-def _header(shape: tuple[int, ...]) -> bytes:
+def header(shape: tuple[int, ...]) -> bytes:
     """Returns what the file of a float32 array of some shape begins with."""
     buffer = io.BytesIO()
     np.lib.format.write_array_header_1_0(buffer, {"descr": "<f4", "fortran_order": False, "shape": shape})
@@ -92,7 +92,7 @@ def _header(shape: tuple[int, ...]) -> bytes:
 
 def _array(content: NDArray[np.uint8], shape: tuple[int, ...]) -> Rows | None:
     """Views the bytes of a file as a float32 array of some shape; None for all that is not just that."""
-    header = _header(shape)
+    header = header(shape)
     if content[: len(header)].tobytes() == header:
         body = content[len(header) :]
         return body.view(np.float32).reshape(shape) if body.size == 4 * math.prod(shape) else None
