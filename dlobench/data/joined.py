@@ -93,7 +93,7 @@ def _map(path: Path) -> Rows:
 
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Waits until no other process joins in this folder, and keeps others waiting; ends with the process at the latest."""
+    """Waits until no other process joins in this folder, and keeps others waiting for as long."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder, os.O_RDONLY)

@@ -92,9 +92,9 @@ def header(shape: tuple[int, ...]) -> bytes:
 
 def _array(content: NDArray[np.uint8], shape: tuple[int, ...]) -> Rows | None:
     """Views the bytes of a file as a float32 array of some shape; None for all that is not just that."""
-    header = header(shape)
-    if content[: len(header)].tobytes() == header:
-        body = content[len(header) :]
+    begin = header(shape)
+    if content[: len(begin)].tobytes() == begin:
+        body = content[len(begin) :]
         return body.view(np.float32).reshape(shape) if body.size == 4 * math.prod(shape) else None
     try:  # another version of NumPy may have padded the header otherwise
         rows = np.lib.format.read_array(io.BytesIO(content.tobytes()), allow_pickle=False)
