@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: help run test lint type unit validate bench bench-world bench-step clean
+.PHONY: help run test lint type unit faults validate bench bench-data bench-world bench-step clean
 
 help:  ## Show what can be made
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -29,8 +29,15 @@ type: $(VENV)/installed  ## Mypy, strict
 unit: $(VENV)/installed  ## The tests alone
 	$(BIN)/pytest --durations=8
 
+faults: $(VENV)/installed  ## Kills, flipped bytes, full disks, lost nodes: all rounds (6 minutes)
+	DLOBENCH_FAULTS=1 $(BIN)/pytest -m faults --durations=8
+
 bench: $(VENV)/installed  ## Benchmarks, with their ratios
 	$(BIN)/pytest tests/benchmarks --benchmark-enable --benchmark-sort=name
+
+bench-data: $(VENV)/installed  ## Generation, verification, reading and executors beside their peers
+	$(BIN)/pytest tests/benchmarks/test_generation.py tests/benchmarks/test_data.py tests/benchmarks/test_executors.py \
+		--benchmark-enable --benchmark-sort=name
 
 bench-world: $(VENV)/installed  ## The world beside MuJoCo's rod, ball joints and its own environment (3 minutes)
 	$(BIN)/pytest tests/benchmarks/test_world.py tests/benchmarks/test_memory.py --benchmark-enable --benchmark-sort=name
