@@ -9,7 +9,7 @@ from functools import partial
 
 from dlobench.data.domain_set import DomainSet, Unit
 from dlobench.data.executors import Executor
-from dlobench.data.sets import SEQUENCES, find
+from dlobench.data.sets import SEQUENCES
 from dlobench.data.store import Store
 from dlobench.trajectories import Trajectories
 from dlobench.world.futures import futures
@@ -32,13 +32,12 @@ def simulate_unit(of: DomainSet, unit: Unit) -> tuple[Trajectories, Account]:
     )
 
 
-def make_unit(unit: Unit, store: Store, *, again: bool = False) -> Unit:
+def make_unit(unit: Unit, store: Store, of: DomainSet, *, again: bool = False) -> Unit:
     """Simulates one unit and writes its shard; `again` even where it is there already.
 
     What is there by now is left alone, so that two who generate into one folder seldom do the same work, and whose
     shard comes first stays. Raises `Broken` for what is broken, unless `again`.
     """
-    of = find(unit.set_name)
     if not again and store.sidecar(of, unit) is not None:
         return unit
     begin = time.process_time()
@@ -56,6 +55,6 @@ def generate(
     total = sum(unit.count for unit in units) * of.pushes
     done = 0
     progress(done, total)
-    for unit in executor(partial(make_unit, store=store, again=again), units):
+    for unit in executor(partial(make_unit, store=store, of=of, again=again), units):
         done += unit.count * of.pushes
         progress(done, total)
