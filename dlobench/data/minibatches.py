@@ -41,21 +41,32 @@ class Minibatch:
     @property
     def pusher(self) -> Any:
         """Returns the pusher before, (B, 2) x m, y m."""
-        return self.state[:, :2]
+        return _pusher(self.state)
 
     @property
     def dlo(self) -> Any:
         """Returns the segments before, (B, 32, 3) x m, y m, yaw rad; padding is 0."""
-        return self.state[:, 2 : STATE - 3 * MAX_BODIES].reshape(-1, MAX_SEGMENTS, 3)
+        return _dlo(self.state)
 
     @property
     def bodies(self) -> Any:
         """Returns the rigid bodies before, (B, 3, 3) x m, y m, yaw rad; padding is 0."""
-        return self.state[:, STATE - 3 * MAX_BODIES :].reshape(-1, MAX_BODIES, 3)
+        return _bodies(self.state)
 
-    def end(self) -> Minibatch:
-        """Returns the same windows seen from their ends: `end().dlo` are the segments after the actions."""
-        return Minibatch(self.after, self.actions, self.after, self.domain)
+    @property
+    def pusher_after(self) -> Any:
+        """Returns the pusher after, (B, 2) x m, y m."""
+        return _pusher(self.after)
+
+    @property
+    def dlo_after(self) -> Any:
+        """Returns the segments after, (B, 32, 3) x m, y m, yaw rad; padding is 0."""
+        return _dlo(self.after)
+
+    @property
+    def bodies_after(self) -> Any:
+        """Returns the rigid bodies after, (B, 3, 3) x m, y m, yaw rad; padding is 0."""
+        return _bodies(self.after)
 
     def torch(self) -> Minibatch:
         """Returns the windows as tensors, which share the memory of the arrays."""
@@ -156,6 +167,18 @@ class Minibatches:
         last = first[:, None] * (WIDTH // 2) + (WIDTH // 2 - 1)  # the executed displacement is the last pair of a row
         steps = np.arange(self.horizon) * (WIDTH // 2)
         rows.view(np.complex64).reshape(-1).take(last + steps, out=pairs, mode="clip")
+
+
+def _pusher(state: Any) -> Any:
+    return state[:, :2]
+
+
+def _dlo(state: Any) -> Any:
+    return state[:, 2 : STATE - 3 * MAX_BODIES].reshape(-1, MAX_SEGMENTS, 3)
+
+
+def _bodies(state: Any) -> Any:
+    return state[:, STATE - 3 * MAX_BODIES :].reshape(-1, MAX_BODIES, 3)
 
 
 def _flat(rows: Rows) -> Rows:
