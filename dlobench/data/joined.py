@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
+import math
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -65,11 +66,13 @@ def _shape(of: DomainSet, span: Span) -> tuple[int, int, int]:
 
 def _is_join(path: Path, of: DomainSet, span: Span, seal: bytes) -> bool:
     """Tells whether a file is the join of shards with this seal, whole."""
+    begin = header(_shape(of, span))
     try:
         with path.open("rb") as file:
-            file.seek(-len(seal), os.SEEK_END)
-            sealed = file.read() == seal
-        return sealed and _map(path).shape == _shape(of, span)
+            if file.read(len(begin)) != begin:
+                return False
+            end = file.seek(-len(seal), os.SEEK_END)
+            return end == len(begin) + 4 * math.prod(_shape(of, span)) and file.read() == seal
     except (OSError, ValueError):
         return False
 

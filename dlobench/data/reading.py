@@ -75,9 +75,9 @@ def load(
 
     >>> import numpy as np
     >>> domains, trajectories = load("meta-learning", "mini", part="train")
-    >>> domains.loc[700, "material"], float(domains.loc[700, "length_m"]), int(domains.loc[700, "trajectories"])
+    >>> domains.loc[600, "material"], float(domains.loc[600, "length_m"]), int(domains.loc[600, "trajectories"])
     ('soft', 0.16, 20)
-    >>> trajectories[700].dlo.shape  # x m, y m, yaw rad; memory-mapped
+    >>> trajectories[600].dlo.shape  # x m, y m, yaw rad; memory-mapped
     (20, 21, 32, 3)
     >>> batch = next(trajectories.minibatches(horizon=4).epoch(64, np.random.default_rng(0)))
     >>> batch.dlo.shape, batch.actions.shape, batch.torch().dlo_after.shape
@@ -107,7 +107,8 @@ def load(
         folder = "" if data is None else f" --data {shlex.quote(str(data))}"
         command = f"dlobench generate {set} --scale {scale}{folder}"
         raise RunError(
-            f"{len(missing)} of {len(mine)} domains of {set}/{scale} ({part}) are not in {store.root}: `{command}`"
+            f"{len(missing)} of {len(mine)} domains of {set}/{scale} ({part}) are not in {store.root}; `{command}` "
+            "makes them"
         )
     held = {span.domain: span.count for span in mine}
     table = domains_table(of, chosen).set_index("domain").loc[list(held)]
