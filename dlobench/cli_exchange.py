@@ -26,6 +26,7 @@ def export(
     from dlobench.data.domain_set import PARTS
     from dlobench.data.imported import find_imported, imported_sets
     from dlobench.data.original import export as write
+    from dlobench.data.original import plan
     from dlobench.data.sets import find, find_scale
 
     store, chosen, reporter = open_store(data), find_scale(scale), TerminalReporter()
@@ -35,17 +36,10 @@ def export(
     imported = any(of.name == set_name for of in imported_sets(store))
     of = find_imported(store, set_name) if imported else find(set_name)
     folder = original.expanduser().absolute()
+    planned = plan(store, of, chosen, folder, domains=domains, part=known)
     with reporter.bar("exporting", "domains") as listen:
-        count = write(
-            store,
-            of,
-            chosen,
-            folder,
-            domains=domains,
-            part=known,
-            progress=lambda done, total: listen(done, total, {}),
-        )
-    reporter.say(f"data: {count} domains of {of.name} in {folder}")
+        write(store, of, planned, folder, lambda done, total: listen(done, total, {}))
+    reporter.say(f"data: {len(planned)} domains of {of.name} in {folder}")
 
 
 def import_(
@@ -55,11 +49,14 @@ def import_(
 ) -> None:
     """Read a folder in the layout of the original DLO@Scale, to run tasks on it: `dlobench run --on NAME`."""
     from dlobench.console import TerminalReporter
-    from dlobench.data.imported import import_set
+    from dlobench.data.imported import check_name, import_set
+    from dlobench.data.recorded import folders
 
     store, reporter = open_store(data), TerminalReporter()
+    check_name(name)
+    found = folders(original.expanduser().absolute())
     with reporter.bar("importing", "domains") as listen:
-        of = import_set(store, original.expanduser().absolute(), name, lambda done, total: listen(done, total, {}))
+        of = import_set(store, found, name, lambda done, total: listen(done, total, {}))
     trajectories = sum(domain.trajectories for domain in of.domains.values())
     reporter.say(f"data: {len(of)} domains, {trajectories:,} trajectories in {store.root / of.key}")
     for text in sorted({text for domain in of.domains.values() for text in domain.assumed}):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -16,26 +16,29 @@ from pydantic import ValidationError
 from dlobench import ranges
 from dlobench.data.domain_set import Span
 from dlobench.data.imported_set import DOMAINS, VERSION, ImportedDomain, ImportedSet
-from dlobench.data.recorded import Recorded, folders, read
+from dlobench.data.original import Progress
+from dlobench.data.recorded import Recorded, read
 from dlobench.data.sets import SETS
 from dlobench.data.status import status
 from dlobench.data.store import Store, atomic_write
 from dlobench.errors import RunError, UsageError
 
 
-def import_set(
-    store: Store, root: Path, name: str, progress: Callable[[int, int], None] = lambda _done, _total: None
-) -> ImportedSet:
-    """Reads a folder in the original layout into the data folder; what is there already stays.
-
-    All of it is read and checked before anything is written. Raises `UsageError` for what is not the layout, and for a
-    name that is taken; `RunError` when the disk refuses.
-    """
+def check_name(name: str) -> None:
+    """Raises `UsageError` for what a set cannot be called."""
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", name) or name in SETS:
         raise UsageError(
             f"--name {ranges.shown(name)} is not of letters, digits and _ . - alone, or is one of {', '.join(SETS)}"
         )
-    found = folders(root)
+
+
+def import_set(store: Store, found: Sequence[Path], name: str, progress: Progress) -> ImportedSet:
+    """Reads folders of domains in the original layout into the data folder; what is there already stays.
+
+    All of it is read and checked before anything is written. Raises `UsageError` for a name that is taken, `RunError`
+    for what is not the layout, and when the disk refuses.
+    """
+    check_name(name)
     total = 2 * len(found)
     domains: dict[int, ImportedDomain] = {}
     for done, folder in enumerate(found):

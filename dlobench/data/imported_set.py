@@ -83,7 +83,7 @@ class ImportedSet(DomainSet):
     def definition(self, index: int) -> dict[str, Any]:
         """Returns what is known of domain `index`, as JSON values."""
         self.cell(index)
-        known: dict[str, Any] = DOMAINS.dump_python({index: self.domains[index]}, mode="json")[index]
+        known: dict[str, Any] = DOMAINS.dump_python({index: self.domains[index]}, mode="json")[str(index)]
         return known | {"bodies": known["params"]["rigid_objects"]}
 
     def geometry(self, index: int) -> Geometry:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import json
 import shutil
+import uuid
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,9 @@ PARAMS = "params.json"
 POSITIONS, ORIENTATIONS, COMMANDED = "data_pos_all.npy", "data_or_all.npy", "data_true_action_all.npy"
 # Files of our own: executed displacements, yaws of the DLO's segments, and what an attached DLO ends in.
 EXECUTED, YAWS, CYLINDER = "data_executed_action_all.npy", "data_segment_yaw_all.npy", "data_cylinder_all.npy"
+
+Plan = Mapping[int, Sequence[Span]]  # what to export of each domain
+Progress = Callable[[int, int], None]  # domains done, domains to do in all
 
 
 def arrays(trajectories: Trajectories) -> dict[str, NDArray[Any]]:
@@ -76,76 +80,67 @@ def write(folder: Path, about: Mapping[str, Any], trajectories: Trajectories) ->
     Raises `UsageError` where something else is there, `RunError` when the disk refuses.
     """
     content = {PARAMS: _json(about)} | {name: _npy(array) for name, array in arrays(trajectories).items()}
-    staging = folder.with_name(f".{folder.name}.tmp")
+    root = folder.parent
+    staging = root.with_name(f".{root.name}.{uuid.uuid4().hex}.tmp")  # the loader opens whatever lies in the root
     try:
         if _occupied(folder):
             if any(_content(folder / name) != content[name] for name in content):
                 raise UsageError(f"{folder} holds something else; export into another folder")
             return
         try:
-            if staging.exists():  # of an export that was killed
-                shutil.rmtree(staging)
             for name, each in content.items():
-                atomic_write(staging / name, each)
-            staging.rename(folder)
-        except BaseException:
+                atomic_write(staging / folder.name / name, each)
+            root.mkdir(parents=True, exist_ok=True)
+            (staging / folder.name).rename(folder)
+        finally:
             shutil.rmtree(staging, ignore_errors=True)
-            raise
     except OSError as error:
         raise RunError(f"cannot write {folder}: {error.strerror}") from error
 
 
-def export(
-    store: Store,
-    of: DomainSet,
-    scale: ScaleName,
-    folder: Path,
-    *,
-    domains: int | None = None,
-    part: Part | None = None,
-    progress: Callable[[int, int], None] = lambda _done, _total: None,
-) -> int:
-    """Writes domains of a set into a folder of the layout, all parts or one; returns how many.
+def plan(
+    store: Store, of: DomainSet, scale: ScaleName, folder: Path, *, domains: int | None = None, part: Part | None = None
+) -> Plan:
+    """Returns what to export of a set, all parts or one, after every check that can be made before writing.
 
     Raises `UsageError` for a set that the layout cannot hold and for a folder that holds something else, `RunError` for
-    shards that are missing or broken; then nothing was written.
+    shards that are missing or broken.
     """
     if of.pushes != PUSHES:
         raise UsageError(f"{of.name} has {of.pushes} pushes a trajectory, the original layout holds just {PUSHES}")
-    spans: dict[int, list[Span]] = {}
+    found: dict[int, list[Span]] = {}
     for span in of.spans(scale):
         if part in (None, span.part):
-            spans.setdefault(span.domain, []).append(span)
-    if domains is not None and not 1 <= domains <= len(spans):
-        raise UsageError(f"--domains {domains} is outside 1–{len(spans)}, what {of.name}/{scale} has")
-    chosen = {index: spans[index] for index in list(spans)[:domains]}
-    _check(store, of, scale, folder, chosen)
-    for done, (index, each) in enumerate(chosen.items()):
-        progress(done, len(chosen))
-        trajectories = concatenate([store.load_span(of, span) for span in each])
-        write(folder / f"{index:05d}", params(of, each), trajectories)
-    progress(len(chosen), len(chosen))
-    return len(chosen)
-
-
-def _check(store: Store, of: DomainSet, scale: ScaleName, folder: Path, chosen: Mapping[int, Sequence[Span]]) -> None:
-    """Raises for what can be told before anything is written."""
+            found.setdefault(span.domain, []).append(span)
+    if domains is not None and not 1 <= domains <= len(found):
+        raise UsageError(f"--domains {domains} is outside 1–{len(found)}, what {of.name}/{scale} has")
+    chosen = {index: found[index] for index in list(found)[:domains]}
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"--original {folder} is not a folder")
     for index, spans in chosen.items():
         place = folder / f"{index:05d}"
         if _occupied(place) and _content(place / PARAMS) != _json(params(of, spans)):
             raise UsageError(f"{place} holds something else; export into another folder")
-    found = status(store, of, of.units(span for spans in chosen.values() for span in spans))
-    for unit, why in found.broken.items():
+    there = status(store, of, of.units(span for spans in chosen.values() for span in spans))
+    for unit, why in there.broken.items():
         raise RunError(
             f"shard {store.path(of, unit)} is broken ({why}); `dlobench data repair {of.name}` makes it again"
         )
-    if found.pending:
+    if there.pending:
         raise RunError(
-            f"{len(found.pending)} of {len(found.pending) + len(found.done)} shards are still to be made; "
+            f"{len(there.pending)} of {len(there.pending) + len(there.done)} shards are still to be made; "
             f"`dlobench generate {of.name} --scale {scale}` does it"
         )
+    return chosen
+
+
+def export(store: Store, of: DomainSet, chosen: Plan, folder: Path, progress: Progress) -> None:
+    """Writes what was planned, domain after domain; raises `RunError` when the disk refuses."""
+    for done, (index, spans) in enumerate(chosen.items()):
+        progress(done, len(chosen))
+        trajectories = concatenate([store.load_span(of, span) for span in spans])
+        write(folder / f"{index:05d}", params(of, spans), trajectories)
+    progress(len(chosen), len(chosen))
 
 
 def _occupied(folder: Path) -> bool:

@@ -20,7 +20,7 @@ from dlobench import ranges
 from dlobench.data.domain_set import PUSHES, Cell
 from dlobench.data.original import COMMANDED, CYLINDER, EXECUTED, ORIENTATIONS, PARAMS, POSITIONS, YAWS
 from dlobench.domain import BOX_SIZE, LENGTHS, MAX_BODIES, MAX_BOXES, MAX_SEGMENTS, SEGMENT_LENGTH, Attachment, Material
-from dlobench.errors import UsageError
+from dlobench.errors import RunError, UsageError
 from dlobench.trajectories import Geometry, Trajectories
 
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ def folders(root: Path) -> list[Path]:
 
 
 def read(folder: Path) -> Recorded:
-    """Reads the folder of a domain; raises `UsageError`, naming file and fault, for whatever is not the layout."""
+    """Reads the folder of a domain; raises `RunError`, naming file and fault, for whatever is not the layout."""
     sha256, (params, about) = _digest(folder), _params(folder)
     length, count = _length(folder, params.dlo.length), len(params.rigid_objects)
     segments = round(length / SEGMENT_LENGTH)
@@ -148,7 +148,7 @@ def _digest(folder: Path) -> str:
                 with (folder / name).open("rb") as file:
                     out.update(name.encode() + hashlib.file_digest(file, "sha256").digest())
             except OSError as error:
-                raise UsageError(f"cannot read {folder / name}: {error.strerror}") from error
+                raise RunError(f"cannot read {folder / name}: {error.strerror}") from error
     return out.hexdigest()
 
 
@@ -162,13 +162,13 @@ def _params(folder: Path) -> tuple[_Params, dict[str, Any]]:
         about = json.loads(path.read_bytes(), parse_constant=number)
         params = _Params.model_validate(about)
     except OSError as error:
-        raise UsageError(f"cannot read {path}: {error.strerror}") from error
+        raise RunError(f"cannot read {path}: {error.strerror}") from error
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the file"
         _refuse(path, f"{where} = {ranges.shown(first['input'])}: {first['msg']}")
     except (ValueError, RecursionError) as error:
-        raise UsageError(f"{path} is no JSON: {error}") from error
+        raise RunError(f"{path} is no JSON: {error}") from error
     if params.domain_id != int(folder.name):
         _refuse(path, f"domain_id = {params.domain_id} is not that of its folder")
     return params, about
@@ -194,9 +194,9 @@ def _array(path: Path, shape: tuple[int | None, ...]) -> Array:
                 _refuse(path, "it is no .npy file")
         found = np.load(path, mmap_mode="r", allow_pickle=False)
     except OSError as error:
-        raise UsageError(f"cannot read {path}: {error.strerror or error}") from error
+        raise RunError(f"cannot read {path}: {error.strerror or error}") from error
     except (ValueError, EOFError, OverflowError, TypeError, SyntaxError, MemoryError, RecursionError) as error:
-        raise UsageError(f"{path} holds no plain array: {error}") from error
+        raise RunError(f"{path} holds no plain array: {error}") from error
     wanted = tuple("any" if size is None else size for size in shape)
     fits = found.ndim == len(shape) and all(size in (None, has) for size, has in zip(shape, found.shape, strict=True))
     if not fits or not len(found):
@@ -247,4 +247,4 @@ def _padded(rows: Array, size: int) -> NDArray[np.float32]:
 
 
 def _refuse(path: Path, why: str) -> NoReturn:
-    raise UsageError(f"{path}: {why}")
+    raise RunError(f"{path}: {why}")
