@@ -102,9 +102,7 @@ class Minibatches:
         """Returns the windows of these numbers, 0 to len − 1, in their order."""
         windows = np.asarray(windows, np.intp)
         if windows.size and not 0 <= windows.min() <= windows.max() < len(self):
-            raise UsageError(
-                f"windows {windows.min()} to {windows.max()} are asked for, there are 0 to {len(self) - 1}"
-            )
+            raise UsageError(f"windows {windows.min()} to {windows.max()} are not all within 0 to {len(self) - 1}")
         return self._gather(windows)
 
     def draw(self, size: int, rng: np.random.Generator) -> Minibatch:
@@ -137,26 +135,33 @@ class Minibatches:
         if held.size:
             yield held
 
-    def _gather(self, windows: Numbers) -> Minibatch:
-        """Copies windows out of the rows."""
+    def rows(self, windows: Numbers) -> tuple[Rows, NDArray[np.complex64], Rows, NDArray[np.int64]]:
+        """Returns what is on disk of windows of these numbers: for those who need more of it than a `Minibatch` has.
+
+        The row they begin with (B, 114), their executed displacements as pairs (B, n), the row after them (B, 114),
+        and the number of their domain (B,).
+        """
         B, n = len(windows), self.horizon
         before, after = np.empty((2, B, WIDTH), np.float32)
         pairs = np.empty((B, n), np.complex64)  # a displacement is one item to copy
         if len(self._flat) == 1:
-            domain = np.full(B, self._domains[0])
             self._copy(0, windows, before, pairs, after)
-        else:
-            source = np.searchsorted(self._first, windows, "right") - 1
-            domain, order = self._domains[source], np.argsort(source, kind="stable")
-            counts = np.bincount(source, minlength=len(self._flat))
-            ends = np.cumsum(counts)
-            grouped, held, later = np.empty((2, B, WIDTH), np.float32), pairs.copy(), windows[order]
-            for number in np.flatnonzero(counts).tolist():
-                part = slice(ends[number] - counts[number], ends[number])
-                chosen = later[part] - self._first[number]
-                self._copy(number, chosen, grouped[0, part], held[part], grouped[1, part])
-            before[order], after[order], pairs[order] = grouped[0], grouped[1], held
-        return Minibatch(before[:, :STATE], pairs.view(np.float32).reshape(B, n, 2), after[:, :STATE], domain)
+            return before, pairs, after, np.full(B, self._domains[0])
+        source = np.searchsorted(self._first, windows, "right") - 1
+        order, counts = np.argsort(source, kind="stable"), np.bincount(source, minlength=len(self._flat))
+        ends, later = np.cumsum(counts), windows[order]
+        grouped, held = np.empty((2, B, WIDTH), np.float32), np.empty_like(pairs)
+        for number in np.flatnonzero(counts).tolist():
+            part = slice(ends[number] - counts[number], ends[number])
+            self._copy(number, later[part] - self._first[number], grouped[0, part], held[part], grouped[1, part])
+        before[order], after[order], pairs[order] = grouped[0], grouped[1], held
+        return before, pairs, after, self._domains[source]
+
+    def _gather(self, windows: Numbers) -> Minibatch:
+        """Copies windows out of the rows."""
+        before, pairs, after, domain = self.rows(windows)
+        actions = pairs.view(np.float32).reshape(len(windows), self.horizon, 2)
+        return Minibatch(before[:, :STATE], actions, after[:, :STATE], domain)
 
     def _copy(self, number: int, windows: Numbers, before: Rows, pairs: NDArray[np.complex64], after: Rows) -> None:
         """Copies windows of one domain; `clip` lets NumPy write straight into the outputs."""
@@ -183,6 +188,14 @@ def _bodies(state: Any) -> Any:
 
 def _flat(rows: Rows) -> Rows:
     """Views rows (K, T+1, 114) as (K (T+1), 114); raises `UsageError` for what is laid out in another way."""
-    if rows.dtype != np.float32 or rows.ndim != 3 or rows.shape[2] != WIDTH or not rows.flags.c_contiguous:
-        raise UsageError(f"{rows.dtype} {rows.shape} is not a contiguous float32 array (K, T+1, {WIDTH}) of rows")
+    if (
+        rows.dtype != np.float32
+        or rows.ndim != 3
+        or rows.shape[2] != WIDTH
+        or not rows.flags.c_contiguous
+        or not rows.size
+    ):
+        raise UsageError(
+            f"{rows.dtype} {rows.shape} is not a contiguous float32 array (K, T+1, {WIDTH}) of rows, K > 0"
+        )
     return np.asarray(rows).reshape(-1, WIDTH)
