@@ -88,7 +88,8 @@ def _judge(broken: dict[str, int], again: list[dict[str, Any]], data: Path | Non
     if broken:
         mend = " and ".join(f"`dlobench data repair {name}{where}`" for name in broken)
         number = sum(broken.values())
-        raise RunError(f"{number} shard{'s are' if number > 1 else ' is'} broken; {mend} generates again what is")
+        what, them = ("shards are", "them") if number > 1 else ("shard is", "it")
+        raise RunError(f"{number} {what} broken; {mend} generates {them} again")
     wrong = [row["shard"] for row in again if not row["agrees"]]
     if wrong:
         raise RunError(

@@ -108,11 +108,11 @@ def start(folder: Path) -> subprocess.Popen[str]:
     )
 
 
-def kill(process: subprocess.Popen[str]) -> None:
-    """Kills a generator and its workers by signal 9."""
+def kill(process: subprocess.Popen[str]) -> str:
+    """Kills a generator and its workers by signal 9; returns what it said before."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
-    process.communicate()  # ends when the last of them has closed its end
+    return process.communicate()[1]  # comes when the last of them is gone
 
 
 def finish(process: subprocess.Popen[str]) -> None:
@@ -145,8 +145,10 @@ def test_kills_at_random_moments_lose_nothing(seed: int, undisturbed: Store, tmp
                 time.sleep(rng.uniform(0, 0.03))
                 break
             time.sleep(0.005)
-        caught += process.poll() is None
-        kill(process)
+        code = process.poll()
+        err = kill(process)
+        assert code in (None, 0), err
+        caught += code is None
         found = status(store, OF, units(OF), every_byte=True)
         assert not found.broken
         for unit in found.done:
