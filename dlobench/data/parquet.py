@@ -16,7 +16,6 @@ from dlobench.data import table
 from dlobench.data.domain_set import DomainSet, Span
 from dlobench.data.status import status
 from dlobench.data.store import Store
-from dlobench.domain import Domain
 from dlobench.errors import RunError, UsageError
 from dlobench.trajectories import Trajectories
 
@@ -77,7 +76,7 @@ def export(store: Store, of: DomainSet, spans: Iterable[Span], out: Path) -> int
             (hidden / table.NAME).write_bytes(table.content(of))
             states = 0
             for domain, group in groupby(spans, key=lambda span: span.domain):
-                states += _write_domain(store, of, domain, list(group), hidden / FOLDER / f"{domain:05d}.parquet")
+                states += _write_domain(store, of, list(group), hidden / FOLDER / f"{domain:05d}.parquet")
             for path in (*hidden.rglob("*"), hidden):
                 _sync(path)
             hidden.replace(out)
@@ -104,14 +103,14 @@ def schema(of: DomainSet) -> pa.Schema:
     return pa.schema(found, {"set": of.key})
 
 
-def _write_domain(store: Store, of: DomainSet, domain: int, spans: list[Span], path: Path) -> int:
-    """Writes the file of one domain and returns its number of states."""
+def _write_domain(store: Store, of: DomainSet, spans: list[Span], path: Path) -> int:
+    """Writes the file of one domain, all spans of which are given, and returns its number of states."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     states, waiting = 0, list[pa.Table]()
     with pq.ParquetWriter(path, schema(of), compression="zstd") as writer:
-        for rows in _tables(store, of, of.domain(domain), spans):
+        for rows in _tables(store, of, spans):
             states += len(rows)
             waiting.append(rows)
             if sum(map(len, waiting)) >= GROUP:
@@ -122,16 +121,16 @@ def _write_domain(store: Store, of: DomainSet, domain: int, spans: list[Span], p
     return states
 
 
-def _tables(store: Store, of: DomainSet, domain: Domain, spans: list[Span]) -> Iterator[pa.Table]:
+def _tables(store: Store, of: DomainSet, spans: list[Span]) -> Iterator[pa.Table]:
     """Yields the rows of some spans of a domain, shard by shard."""
     for span in spans:
         for unit in of.units([span]):
             first, end = max(unit.first, span.first), min(unit.first + unit.count, span.first + span.count)
             inside = store.load(of, unit).take(slice(first - unit.first, end - unit.first))
-            yield _table(of, domain, span, first, inside)
+            yield _table(of, span, first, inside)
 
 
-def _table(of: DomainSet, domain: Domain, span: Span, first: int, trajectories: Trajectories) -> pa.Table:
+def _table(of: DomainSet, span: Span, first: int, trajectories: Trajectories) -> pa.Table:
     """Returns the rows of some trajectories of a domain, the first of which has the number `first`."""
     import pyarrow as pa
 
@@ -144,14 +143,14 @@ def _table(of: DomainSet, domain: Domain, span: Span, first: int, trajectories: 
         "trajectory": pa.array(np.repeat(np.arange(first, first + K, dtype=np.int32), T + 1)),
         "step": pa.array(np.tile(np.arange(T + 1, dtype=np.int16), K)),
     }
-    for name, count in (("dlo", domain.segments), ("bodies", len(domain.bodies))):
+    for name, count in (("dlo", trajectories.dlo_mask.sum()), ("bodies", trajectories.body_mask.sum())):
         poses = getattr(trajectories, name)[:, :, :count]
         offsets = np.arange(rows + 1, dtype=np.int32) * count
         for axis, unit in enumerate(_AXES):
             columns[f"{name}_{unit}"] = pa.ListArray.from_arrays(offsets, poses[..., axis].reshape(-1))
     for name in ("pusher", "cylinder", "commanded", "executed"):
         values = getattr(trajectories, name)
-        missing = np.full(rows, name == "cylinder" and domain.attachment == "none")
+        missing = np.full(rows, name == "cylinder" and of.cell(span.domain).attachment == "none")
         if values.shape[1] == T:  # no push follows the last state
             values, missing = np.concatenate([values, np.zeros_like(values[:, :1])], axis=1), last
         for axis, unit in enumerate(_AXES[: values.shape[-1]]):

@@ -1,4 +1,7 @@
-"""Tabulates the domains of a set: a row a domain, what is sampled and what it holds, SI units in the names."""
+"""Tabulates the domains of a set: a row a domain, what is sampled and what it holds, SI units in the names.
+
+What is not known of a domain, since it was recorded elsewhere, is absent.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,9 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from dlobench.data.domain_set import PARTS, SCALES, DomainSet, ScaleName
+from dlobench.data.imported_set import ImportedSet
 from dlobench.data.store import Store, atomic_write
-from dlobench.domain import MAX_BODIES, Domain
+from dlobench.domain import MAX_BODIES, SEGMENT_LENGTH, Domain
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -100,17 +104,15 @@ def _rows(of: DomainSet, scales: tuple[ScaleName, ...]) -> Iterator[dict[str, An
         row["parts"] = " ".join(part for part in PARTS if (index, part) in held)
         for scale in scales:
             row |= {f"{scale}_{part}_trajectories": counts[scale].get((index, part), 0) for part in PARTS}
-        yield row | _parameters(of.domain(index))
+        cell = of.cell(index)
+        row |= {"material": cell.material, "attachment": cell.attachment, "length_m": cell.length}
+        row |= {"rigid_objects": cell.rigid_objects, "segments": round(cell.length / SEGMENT_LENGTH)}
+        yield row if isinstance(of, ImportedSet) else row | _parameters(of.domain(index))
 
 
 def _parameters(domain: Domain) -> dict[str, Any]:
-    """Returns the columns that tell the physical parameters of a domain."""
+    """Returns the columns that tell what nobody knows of a domain that was recorded elsewhere."""
     row: dict[str, Any] = {
-        "material": domain.material,
-        "attachment": domain.attachment,
-        "length_m": domain.length,
-        "rigid_objects": len(domain.bodies),
-        "segments": domain.segments,
         "surface_friction": domain.surface_friction,
         "density_kg_per_m3": domain.density,
         "bending_stiffness_N_m2": domain.bending_stiffness,
