@@ -19,18 +19,24 @@ Result = TypeVar("Result")
 RETRIES = 20  # how often a piece may lose its node or its process before it is to blame itself
 REACH = 5.0  # s, to wait for an address
 RECOUNT = 10.0  # s between two looks at how large the cluster is: nodes come and go
+HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + b"\0\0\0\x04\0\0\0\0\0"  # gRPC answers with a frame of type 4
 MEMORY = 100_000_000  # bytes for objects of a cluster of our own; shards go to the disk, not through Ray
 
 
 def check_address(address: str) -> None:
-    """Refuses an address that is not HOST:PORT (`UsageError`), or where nothing listens (`RunError`)."""
+    """Refuses an address that is not HOST:PORT (`UsageError`), or where no Ray listens (`RunError`)."""
     host, _, port = address.rpartition(":")
     if not (host and port.isascii() and port.isdigit() and 0 < int(port) < 65536) or "/" in host:
         raise UsageError(f"--address {address!r} is not HOST:PORT, as in 10.0.0.1:6379")
     try:
-        socket.create_connection((host, int(port)), timeout=REACH).close()
+        with socket.create_connection((host, int(port)), timeout=REACH) as connection:
+            connection.settimeout(REACH)
+            connection.sendall(HELLO)
+            answer = connection.recv(9)
     except OSError as error:
         raise RunError(f"no Ray cluster answers at {address}: {error.strerror or error}") from error
+    if answer[3:4] != b"\x04":
+        raise RunError(f"what answers at {address} is no Ray cluster")
 
 
 def run(

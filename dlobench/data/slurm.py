@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import re
 import shutil
 import subprocess
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -65,18 +68,22 @@ class Slurm:
     chunk: int = CHUNK  # pieces a task, at least
 
     def __call__(self, function: Callable[[Work], Result], work: Iterable[Work]) -> Iterator[Result]:
-        """Yields the results, task by task. When one fails, and on Ctrl-C, what is queued or running is cancelled."""
+        """Yields the results, task by task. When one fails, and on Ctrl-C, what is queued or running is cancelled.
+
+        Scripts, logs and results are kept in a folder of this call's own, which goes when all has succeeded.
+        """
         chunks = self._chunks(list(work))
         if not chunks:
             return
-        jobs = self._submit(partial(_each, function), chunks)
-        waiting = {str(job.job_id): job for job in jobs}
+        folder = self._folder()
+        waiting = {str(job.job_id): job for job in self._submit(folder, partial(_each, function), chunks)}
         try:
-            for job in self._arrivals(waiting):
+            for job in _arrivals(folder, waiting):
                 yield from _result(job)
         finally:
             if waiting:
                 subprocess.run(["scancel", *{name.partition("_")[0] for name in waiting}], check=False)
+        shutil.rmtree(folder, ignore_errors=True)
 
     def script(self, pieces: int) -> tuple[Path, int]:
         """Writes the script that would be submitted for so many pieces; returns where it is, and its tasks."""
@@ -111,36 +118,28 @@ class Slurm:
         limit = extra.pop("time", str(max(MINUTES, len(self._chunks(range(pieces))[0]))))
         return {"time": minutes(limit), "array_parallelism": self.workers, "additional_parameters": extra}
 
-    def _submit(self, function: Callable[..., Any], chunks: Sequence[Sequence[Any]]) -> list[Any]:
+    def _folder(self) -> Path:
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            return Path(tempfile.mkdtemp(prefix=time.strftime("%Y-%m-%dT%H%M%S-"), dir=self.folder))
+        except OSError as error:
+            raise RunError(f"cannot write {self.folder}: {error.strerror}") from error
+
+    def _submit(self, folder: Path, function: Callable[..., Any], chunks: Sequence[Sequence[Any]]) -> list[Any]:
         """Submits an array of a task a chunk."""
         from submitit import SlurmExecutor
         from submitit.core.utils import FailedJobError
 
         try:
-            executor = SlurmExecutor(self.folder)
+            executor = SlurmExecutor(folder)
             executor.update_parameters(**self._parameters(sum(map(len, chunks))))
-            jobs: list[Any] = executor.map_array(function, chunks)
+            with contextlib.redirect_stderr(io.StringIO()):  # what sbatch says is in the error, too
+                jobs: list[Any] = executor.map_array(function, chunks)
         except FailedJobError as error:  # what sbatch said
             raise RunError(f"sbatch refuses: {' '.join(str(error).split())}") from error
         except OSError as error:
-            raise RunError(f"cannot submit from {self.folder}: {error.strerror}") from error
+            raise RunError(f"cannot submit from {folder}: {error.strerror}") from error
         return jobs
-
-    def _arrivals(self, waiting: dict[str, Any]) -> Iterator[Any]:
-        """Yields jobs whose results are there; takes them out of `waiting`."""
-        suspects: set[str] = set()
-        asked = time.monotonic()
-        while waiting:
-            there = {path.name for path in self.folder.glob("*_result.pkl")}
-            for name in [name for name, job in waiting.items() if job.paths.result_pickle.name in there]:
-                yield waiting.pop(name)
-            if time.monotonic() - asked > ASK:
-                # No job leaves the queue without a result, but a file may be seen a while after it was written.
-                gone = set(waiting) - (queued if (queued := _queued()) is not None else set(waiting))
-                for name in sorted(gone & suspects):
-                    raise RunError(_failure(waiting[name], "it left the queue without a result"))
-                suspects, asked = gone, time.monotonic()
-            time.sleep(POLL if waiting else 0)
 
 
 def check_sbatch() -> None:
@@ -150,6 +149,24 @@ def check_sbatch() -> None:
         raise UsageError(
             f"--executor slurm finds no {missing[0]} on the PATH; call it where jobs are submitted, or with --dry-run"
         )
+
+
+def _arrivals(folder: Path, waiting: dict[str, Any]) -> Iterator[Any]:
+    """Yields jobs whose results are there; takes them out of `waiting`."""
+    suspects: set[str] = set()
+    asked = time.monotonic()
+    while waiting:
+        there = {path.name for path in folder.glob("*_result.pkl")}
+        for name in [name for name, job in waiting.items() if job.paths.result_pickle.name in there]:
+            yield waiting.pop(name)
+        if waiting and time.monotonic() - asked > ASK:
+            # No job leaves the queue without a result, but a file may be seen a while after it was written.
+            queued = _queued()
+            gone = set(waiting) - (set(waiting) if queued is None else queued)
+            for name in sorted(gone & suspects):
+                raise RunError(_failure(waiting[name], "it left the queue without a result"))
+            suspects, asked = gone, time.monotonic()
+        time.sleep(POLL if waiting else 0)
 
 
 def _each(function: Callable[[Work], Result], pieces: Sequence[Work]) -> list[Result]:
