@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from dm_control.rl import control
 from dm_env import StepType, TimeStep
@@ -14,6 +15,9 @@ from dlobench.world.episode import Pushing, Shaping
 from dlobench.world.physics import Physics
 from dlobench.world.simulate import PUSHES
 from dlobench.world.state import PUSH_TIME, Array
+
+if TYPE_CHECKING:
+    from torchrl.envs import DMControlWrapper  # type: ignore[import-untyped]
 
 
 class Environment(control.Environment):  # type: ignore[misc]  # dm_control is untyped
@@ -53,3 +57,15 @@ def make(domain: Domain, seed: int | Sequence[int] = 0, noise: bool = True, goal
     steps = round(PUSH_TIME / physics.timestep())
     length = (PUSHES - 0.5) * steps * physics.timestep()  # half a push less, so that no rounding adds one
     return Environment(physics, task, time_limit=length, n_sub_steps=steps)
+
+
+def make_torchrl_env(
+    domain: Domain, seed: int | Sequence[int] = 0, noise: bool = True, goal: bool = False
+) -> DMControlWrapper:
+    """Makes the environment of a domain for torchrl, of what `make` takes.
+
+    Seeds are given here: torchrl's `set_seed` restarts the episode and changes no more.
+    """
+    from torchrl.envs import DMControlWrapper  # noqa: PLC0415  # torch is loaded by those alone who ask for it
+
+    return DMControlWrapper(make(domain, seed, noise, goal))
