@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,6 @@ from dlobench import ranges
 from dlobench.data.store import COLUMNS, WIDTH, Rows
 from dlobench.domain import MAX_BODIES, MAX_SEGMENTS
 from dlobench.errors import UsageError
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 Numbers = NDArray[np.intp]
 
@@ -72,8 +69,7 @@ class Minibatch:
         """Returns the windows as tensors, which share the memory of the arrays."""
         import torch
 
-        tensors: dict[str, Tensor] = {name: torch.from_numpy(rows) for name, rows in vars(self).items()}
-        return Minibatch(**tensors)
+        return Minibatch(**{name: torch.from_numpy(rows) for name, rows in vars(self).items()})
 
 
 class Minibatches:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import Any
 
 from dm_control.rl import control
 from dm_env import StepType, TimeStep
@@ -15,9 +15,6 @@ from dlobench.world.episode import Pushing, Shaping
 from dlobench.world.physics import Physics
 from dlobench.world.simulate import PUSHES
 from dlobench.world.state import PUSH_TIME, Array
-
-if TYPE_CHECKING:
-    from torchrl.envs import DMControlWrapper  # type: ignore[import-untyped]
 
 
 class Environment(control.Environment):  # type: ignore[misc]  # dm_control is untyped
@@ -59,13 +56,11 @@ def make(domain: Domain, seed: int | Sequence[int] = 0, noise: bool = True, goal
     return Environment(physics, task, time_limit=length, n_sub_steps=steps)
 
 
-def make_torchrl_env(
-    domain: Domain, seed: int | Sequence[int] = 0, noise: bool = True, goal: bool = False
-) -> DMControlWrapper:
-    """Makes the environment of a domain for torchrl, of what `make` takes.
+def make_torchrl_env(domain: Domain, seed: int | Sequence[int] = 0, noise: bool = True, goal: bool = False) -> Any:
+    """Makes the environment of a domain for torchrl, a `DMControlWrapper`, of what `make` takes.
 
-    Seeds are given here: torchrl's `set_seed` restarts the episode and changes no more.
+    Seeds are given here: torchrl's `set_seed` begins another episode and changes no more.
     """
-    from torchrl.envs import DMControlWrapper  # noqa: PLC0415  # torch is loaded by those alone who ask for it
+    from torchrl.envs import DMControlWrapper  # type: ignore[import-untyped]  # noqa: PLC0415  # heavy
 
     return DMControlWrapper(make(domain, seed, noise, goal))
