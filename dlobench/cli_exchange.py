@@ -24,17 +24,16 @@ def export(
     """Write what was generated of a set in the layout of the original DLO@Scale."""
     from dlobench.console import TerminalReporter
     from dlobench.data.domain_set import PARTS
-    from dlobench.data.imported import find_imported, imported_sets
+    from dlobench.data.imported import find_any
     from dlobench.data.original import export as write
     from dlobench.data.original import plan
-    from dlobench.data.sets import find, find_scale
+    from dlobench.data.sets import find_scale
 
     store, chosen, reporter = open_store(data), find_scale(scale), TerminalReporter()
     known = next((name for name in PARTS if name == part), None)
     if known != part:
         raise UsageError(f"--part {part!r} is not one of {', '.join(PARTS)}")
-    imported = any(of.name == set_name for of in imported_sets(store))
-    of = find_imported(store, set_name) if imported else find(set_name)
+    of = find_any(store, set_name)
     folder = original.expanduser().absolute()
     planned = plan(store, of, chosen, folder, domains=domains, part=known)
     with reporter.bar("exporting", "domains") as listen:

@@ -29,7 +29,7 @@ def status(set_name: AnySet = None, data: Data = None, as_json: Json = False) ->
     from dlobench.data.status import census
 
     store, rows = open_store(data), []
-    for of in _sets(set_name):
+    for of in _sets(store, set_name):
         found, others = census(store, of), other_versions(store, of)
         for scale, tally in found.scales.items():
             row = {"set": of.name, "scale": scale, **vars(tally), "pushes_per_second": tally.rate}
@@ -56,18 +56,21 @@ def verify(
     from dlobench import ranges
     from dlobench.console import TerminalReporter
     from dlobench.data.executors import find_executor
+    from dlobench.data.imported import find_ours
     from dlobench.data.reproduce import chosen, reproduce
+    from dlobench.data.sets import SETS
 
     store, reporter, executor = open_store(data), TerminalReporter(), find_executor("local", workers=workers)
-    ranges.whole("--regenerate", regenerate, 0)
+    if ranges.whole("--regenerate", regenerate, 0) and set_name:
+        find_ours(store, set_name)
     rows, again = list[dict[str, Any]](), list[dict[str, Any]]()
-    for of in _sets(set_name):
+    for of in _sets(store, set_name):
         found = _verified(store, of, executor, reporter)
         row = {"set": of.name, "shards": found.shards, "bytes": found.bytes, "broken": len(found.broken)}
         rows.append(row | {"without_sidecar": len(found.halves), "strays": [str(path) for path in found.strays]})
         _tell_broken(store, of, found.broken)
         _tell_rest(of, len(found.halves), found.temporary, found.strays)
-        if regenerate and (set_name or found.shards > len(found.broken)):
+        if regenerate and of.name in SETS and (set_name or found.shards > len(found.broken)):
             units = chosen(store, of, regenerate, seed=seed, without=found.broken)
             with reporter.bar(f"simulating {of.name} again", "shards") as listen:
                 for done, one in enumerate(reproduce(store, of, units, executor), start=1):
@@ -107,10 +110,12 @@ def repair(
     """Generate again what is broken of a set, or has lost its sidecar, and only that."""
     from dlobench.console import TerminalReporter
     from dlobench.data.executors import find_executor
-    from dlobench.data.sets import find, find_scale
+    from dlobench.data.imported import find_ours
+    from dlobench.data.sets import find_scale
     from dlobench.data.verify import repair as remake
 
-    store, of, reporter = open_store(data), find(set_name), TerminalReporter()
+    store, reporter = open_store(data), TerminalReporter()
+    of = find_ours(store, set_name)
     chosen, executor = scale and find_scale(scale), find_executor("local", workers=workers)
     found = _verified(store, of, executor, reporter)
     with reporter.bar("repairing", "pushes") as listen:
@@ -133,10 +138,11 @@ def _verified(store: Store, of: DomainSet, executor: Executor, reporter: Termina
         return check(store, of, executor, lambda done, total, size: listen(done, total, {"GB": size / 1e9}))
 
 
-def _sets(name: str | None) -> list[DomainSet]:
-    from dlobench.data.sets import SETS, find
+def _sets(store: Store, name: str | None) -> list[DomainSet]:
+    from dlobench.data.imported import find_any, imported_sets
+    from dlobench.data.sets import SETS
 
-    return list(SETS.values()) if name is None else [find(name)]
+    return [*SETS.values(), *imported_sets(store)] if name is None else [find_any(store, name)]
 
 
 def _tell_broken(store: Store, of: DomainSet, broken: dict[Unit, str]) -> None:

@@ -684,3 +684,37 @@ def test_what_executes_commands_again_and_again_is_refused_on_an_imported_set(tm
     with pytest.raises(UsageError, match="64 times"):
         replace(load_task("meta"), set="distribution").on(of)
     assert of.pushes == PUSHES
+
+
+def test_a_task_on_single_domains_parts_the_trajectories_of_an_imported_set(tmp_path: Path) -> None:
+    for index in (3, 4):
+        put(tmp_path / "layout", index, 160)
+    of = import_set(Store(tmp_path / "data"), tmp_path / "layout", "mine")
+    task = replace(load_task("meta"), set="single-domain-large", where={}).on(of)
+    assert {part: [(s.domain, s.count) for s in spans] for part, spans in task.spans("mini").items()} == {
+        "train": [(3, 20), (4, 20)],
+        "valid": [(3, 20), (4, 20)],
+        "test": [(3, 20), (4, 20)],
+    }
+    firsts = {span.part: span.first for span in task.of.spans("mini") if span.domain == 3}
+    assert firsts == {"train": 0, "valid": 100, "test": 120}
+
+
+def test_imported_sets_are_looked_after_but_never_generated(call: Call, tmp_path: Path) -> None:  # noqa: F811
+    put(tmp_path / "layout", 3, 20)
+    assert call("data", "import", "--original", tmp_path / "layout", "--name", "mine").code == 0
+    assert "mine" in call("data", "status").out
+    rows = json.loads(call("data", "verify", "--json").out)["sets"]
+    assert [(row["shards"], row["broken"], row["strays"]) for row in rows if row["set"] == "mine"] == [(1, 0, [])]
+    before = files(tmp_path / "data")
+    for verb in (("generate",), ("data", "repair"), ("data", "verify", "--regenerate", "1")):
+        check_failed(call(*verb, "mine"), 2, "mine", "imported", "dlobench data import")
+    assert files(tmp_path / "data") == before
+    shard = next((tmp_path / "data").rglob("0000000.npy"))
+    shard.write_bytes(shard.read_bytes()[:-1] + b"\7")
+    done = call("data", "verify", "mine")
+    check_failed(done, 1, "broken")
+    assert str(shard) in done.err
+    assert call("data", "import", "--original", tmp_path / "layout", "--name", "mine").code == 0
+    assert call("data", "verify", "mine").code == 0
+    assert files(tmp_path / "data").keys() == before.keys()
