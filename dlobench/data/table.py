@@ -49,9 +49,8 @@ BODY_COLUMNS = {
 def about_columns() -> dict[str, str]:
     """Returns what every column of the table holds."""
     bodies = {f"body{i}_{name}": text.format(i) for i in range(MAX_BODIES) for name, text in BODY_COLUMNS.items()}
-    scales = {
-        f"{scale}_{part}_trajectories": f"trajectories to {part} at scale {scale}" for scale in SCALES for part in PARTS
-    }
+    held = [(scale, part) for scale in SCALES for part in PARTS]
+    scales = {f"{scale}_{part}_trajectories": f"trajectories of part {part} at scale {scale}" for scale, part in held}
     return COLUMNS | bodies | scales
 
 
