@@ -140,7 +140,7 @@ class DLOExperienceReplay(BaseDatasetExperienceReplay):  # type: ignore[misc]  #
         self.root = Store.open(root).root
         self._folder = find(name).key
         self.domains, trajectories = load(name, scale, part, root)  # a row a domain, by its number
-        options = {"writer": ImmutableDatasetWriter(), **options}
+        options = {"writer": ImmutableDatasetWriter(), "collate_fn": _as_it_is, **options}
         super().__init__(storage=Frames(trajectories), batch_size=batch_size, **options)
 
     @property
@@ -159,6 +159,11 @@ class DLOExperienceReplay(BaseDatasetExperienceReplay):  # type: ignore[misc]  #
 
     def _is_downloaded(self) -> bool:
         return True  # or there would be no buffer
+
+
+def _as_it_is(frames: TensorDict) -> TensorDict:
+    """Collates frames, which a storage gives together already."""
+    return frames
 
 
 def _observation(rows: Rows, executed: NDArray[np.complex64]) -> dict[str, Tensor]:
