@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from dlobench.cli_describe import card, plan
 from dlobench.cli_exchange import export, import_
 from dlobench.cli_look import open_store
 from dlobench.cli_store import SetName, repair, status, verify
@@ -79,3 +80,5 @@ data_app.command("verify")(verify)
 data_app.command("repair")(repair)
 data_app.command("export")(export)
 data_app.command("import")(import_)
+data_app.command("plan")(plan)
+data_app.command("card")(card)
