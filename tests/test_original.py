@@ -455,9 +455,9 @@ def test_an_altered_definition_is_named(content: bytes, tmp_path: Path) -> None:
     store = Store(tmp_path / "data")
     put(tmp_path / "layout", 3)
     of = import_set(store, tmp_path / "layout", "mine")
-    path = store.root / f"{of.key}.set.json"
+    path = store.root / "imported" / f"{of.key}.json"
     path.write_bytes(content)
-    with pytest.raises(RunError, match=r"set\.json"):
+    with pytest.raises(RunError, match="imported"):
         imported_sets(store)
 
 
@@ -465,7 +465,7 @@ def test_a_definition_that_was_edited_no_longer_fits_its_shards(tmp_path: Path) 
     store = Store(tmp_path / "data")
     put(tmp_path / "layout", RICH)
     of = import_set(store, tmp_path / "layout", "mine")
-    path = store.root / f"{of.key}.set.json"
+    path = store.root / "imported" / f"{of.key}.json"
     path.write_text(path.read_text().replace("movable", "fixed"))
     (found,) = imported_sets(store)
     assert status(store, found, found.units(found.spans("mini"))).broken
@@ -494,6 +494,8 @@ def test_every_cell_has_its_parts_and_no_trajectory_two(sizes: list[int], trajec
         assert len(count) == min(size, 3), "three domains are one of each"
         if size >= 8:
             assert count["train"] > count["test"] >= count["valid"]
+    if len(sizes) >= 3:
+        assert {of.part(index) for index in of.domains} == {"train", "valid", "test"}
     for each in (of, of.parted_like(SETS["single-domain-large"])):
         spans = each.spans("mini")
         for index in of.domains:

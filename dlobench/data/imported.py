@@ -1,6 +1,6 @@
 """Brings sets that were recorded elsewhere, in the original layout, into the data folder, and finds them there.
 
-The shards are like all others; `<set key>.set.json` beside their folder defines the set and is written last.
+The shards are like all others; `imported/<set key>.json` in the data folder defines the set and is written last.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from dlobench.data.sets import SETS, find
 from dlobench.data.status import status
 from dlobench.data.store import Store, atomic_write
 from dlobench.errors import RunError, UsageError
+
+FOLDER = "imported"  # of the sets' definitions
 
 
 def check_name(name: str) -> None:
@@ -68,7 +70,8 @@ def import_set(store: Store, found: Sequence[Path], name: str, progress: Progres
 
 def imported_sets(store: Store) -> list[ImportedSet]:
     """Returns the imported sets of a data folder; raises `RunError` for a definition that was altered."""
-    return [_read(store, path) for path in sorted(store.root.glob("*.set.json")) if not path.name.startswith(".")]
+    found = sorted((store.root / FOLDER).glob("[!.]*.json"))
+    return [_read(store, path) for path in found]
 
 
 def find_imported(store: Store, name: str) -> ImportedSet:
@@ -111,7 +114,7 @@ def _known(one: Recorded) -> ImportedDomain:
 
 
 def _path(store: Store, of: ImportedSet) -> Path:
-    return store.root / f"{of.key}.set.json"
+    return store.root / FOLDER / f"{of.key}.json"
 
 
 def _read(store: Store, path: Path) -> ImportedSet:

@@ -21,8 +21,10 @@ from dlobench.trajectories import Geometry
 
 VERSION = 1  # of how the layout is read
 BLOCK = 500  # trajectories a shard, at most
-# Parts of the domains of a cell in the order of their salted hashes, over and over: any three have all parts.
-DEAL: tuple[Part, ...] = ("train", "test", "valid", "train", "train", "train", "test", "train")
+# Parts of the domains of a cell in the order of their salted hashes, over and over. Any three have all parts; where
+# cells have fewer, each begins with another one, so that the set has all parts all the same.
+THREE: tuple[Part, ...] = ("train", "test", "valid")
+DEAL: tuple[Part, ...] = (*THREE, "train", "train", "train", "test", "train")
 
 
 @dataclass(frozen=True)
@@ -137,7 +139,7 @@ class ImportedSet(DomainSet):
             return hashlib.sha256(f"{self.salt}/{index}".encode()).digest()
 
         return {
-            index: DEAL[place % len(DEAL)]
-            for members in cells.values()
+            index: THREE[(place + number) % 3] if place < 3 else DEAL[place % len(DEAL)]
+            for number, members in enumerate(cells.values())
             for place, index in enumerate(sorted(members, key=salted))
         }
