@@ -38,6 +38,7 @@ class ModelPlugin:
     path: Path
     sha256: str  # of the file
     model: type[Model]
+    protection: tuple[str, ...] = ("none, it runs in the process of the bench",)  # from the plugin, a phrase each
 
 
 def find(kind: Kind) -> dict[str, Found]:
@@ -57,7 +58,7 @@ def load_model(name_or_path: str) -> ModelPlugin:
 
     Raises `UsageError` for what is no plugin, `RunError` for one that fails to load.
     """
-    path = _resolve("models", name_or_path)
+    path = resolve("models", name_or_path)
     if not re.fullmatch(r"[A-Za-z0-9_.-]+", path.stem):
         raise UsageError(f"plugin file {path.name!r}: its name goes into records; use letters, digits and any of _ . -")
     module, sha256 = _execute(path, "model")
@@ -80,7 +81,7 @@ def load_model(name_or_path: str) -> ModelPlugin:
 
 def load_task(name_or_path: str) -> Task:
     """Loads a task by name or by path; raises as `load_model` does."""
-    path = _resolve("tasks", name_or_path)
+    path = resolve("tasks", name_or_path)
     task = getattr(_execute(path, "task")[0], "TASK", None)
     if not isinstance(task, Task):
         raise UsageError(f"{path} does not define TASK, a dlobench.bench.task.Task")
@@ -115,7 +116,8 @@ def parse_settings(model: type[Model], settings: list[str]) -> dict[str, Any]:
     return out
 
 
-def _resolve(kind: Kind, name_or_path: str) -> Path:
+def resolve(kind: Kind, name_or_path: str) -> Path:
+    """Returns the file of a plugin, by its name or path; raises `UsageError` where there is none."""
     if name_or_path.endswith(".py") or "/" in name_or_path:
         path = Path(name_or_path)
         if not path.is_file():
