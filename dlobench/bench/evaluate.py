@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import copy
 import time
-import traceback
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
 from dlobench.bench import metrics
+from dlobench.bench.answers import Misdeed, blame, counted, plain
 from dlobench.bench.model import Model
 from dlobench.bench.results import CellScore, DomainScore
 from dlobench.bench.task import Fit, Scale, Task, supports
@@ -28,16 +27,14 @@ def call(what: str, function: Callable[[], Returned]) -> Returned:
     """Calls into a plugin; what it raises becomes a `RunError` that names the error and the line."""
     try:
         return function()
+    except Misdeed as error:
+        raise RunError(f"{what} {error}") from error
     except (RunError, UsageError) as error:
         raise type(error)(f"{what}: {error}") from error
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a plugin may raise anything, SystemExit too
-        frames = traceback.extract_tb(error.__traceback__)
-        own = [frame for frame in frames if "site-packages" not in frame.filename and "<" not in frame.filename]
-        line = (own or frames)[-1]  # the plugin's line rather than that of a library it calls
-        where = f"{Path(line.filename).name}:{line.lineno}"
-        raise RunError(f"{what} raised {type(error).__name__} at {where}: {error}") from error
+        raise RunError(f"{what} {blame(error)}") from error
 
 
 def predict(model: Model, query: Query, what: str) -> Prediction:
@@ -45,7 +42,9 @@ def predict(model: Model, query: Query, what: str) -> Prediction:
 
     The model gets a copy, so that whatever it does to its query changes no score.
     """
-    prediction = call(f"{what}.predict", lambda: model.predict(copy.deepcopy(query), 1))
+    given = copy.deepcopy(query)
+    prediction = call(f"{what}.predict", lambda: model.predict(given, 1))
+    call(f"{what}.predict", lambda: plain(prediction, given))
     dlo, wanted = getattr(prediction, "dlo", None), (1, *query.dlo.shape[:2], 2)
     if not isinstance(dlo, np.ndarray) or dlo.shape != wanted or dlo.dtype.kind != "f":
         got = f"{dlo.dtype} {dlo.shape}" if isinstance(dlo, np.ndarray) else type(dlo).__name__
@@ -60,11 +59,7 @@ def predict(model: Model, query: Query, what: str) -> Prediction:
 
 def parameters(model: Model, what: str) -> int:
     """Returns the model's number of parameters; raises `RunError` when it is not a whole number."""
-    count = call(f"{what}.parameters", model.parameters)
-    shown = type(count).__name__ if type(count) is int and abs(count) >= 2**63 else repr(count)
-    if type(count) is not int or not 0 <= count < 2**63:
-        raise RunError(f"{what}.parameters returned {shown}, a whole number below 2⁶³ was asked for")
-    return count
+    return call(f"{what}.parameters", lambda: counted(model.parameters()))
 
 
 def score_cell(
