@@ -43,10 +43,12 @@ def plan(
             progress=lambda done, total: listen(done, total, {}),
         )
     row = {"set": of.name, "scale": chosen, **asdict(found)}
-    if not as_json:
-        row |= {name: f"{row[name]:,.3g}" for name in ("core_hours", "wall_hours")}
-        row["uncertainty"] = f"± {100 * found.uncertainty:.0f} %"
-    print_rows([row], as_json, list(row))
+    if as_json:
+        print_rows([row], as_json, [])
+        return
+    error = 100 * found.uncertainty
+    row |= {name: f"{row[name]:,.3g} ± {error:.0f} %" for name in ("core_hours", "wall_hours")}
+    print_rows([{"what": name, "value": value} for name, value in row.items()], as_json, ["what", "value"])
 
 
 def card(

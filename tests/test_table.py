@@ -213,7 +213,7 @@ def test_an_export_overwrites_nothing(store: Store, tmp_path: Path) -> None:
 
 def test_what_is_missing_or_broken_is_not_exported(store: Store, tmp_path: Path) -> None:
     spans = LARGE.spans("mini")[:3]
-    with pytest.raises(RunError, match="still to be generated"):
+    with pytest.raises(RunError, match="still to be made"):
         parquet.export(store, LARGE, spans, tmp_path / "out")
     made(store, LARGE, spans)
     path = store.path(LARGE, list(LARGE.units(spans))[-1])

@@ -149,9 +149,9 @@ def _shards(store: Store, of: DomainSet, spans: Sequence[Span], progress: Progre
             if sidecar is None:
                 continue
             path = store.path(of, unit).relative_to(store.root / of.key).as_posix()
-            row = (path, unit.domain, span.part, unit.first, unit.count)
-            row += (sidecar["bytes"], sidecar["sha256"], float(sidecar["seconds"]))
-            for column, value in zip(columns.values(), row, strict=True):
+            place = (path, unit.domain, span.part, unit.first, unit.count)
+            about = (sidecar["bytes"], sidecar["sha256"], float(sidecar["seconds"]))
+            for column, value in zip(columns.values(), (*place, *about), strict=True):
                 column.append(value)
             versions.add(", ".join(f"{name} {number}" for name, number in sidecar["versions"].items()))
             cpus.add(f"{sidecar['cpu']['model']} ({sidecar['cpu']['architecture']})")

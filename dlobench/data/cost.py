@@ -36,7 +36,7 @@ class Cost:
 
 
 def measure(
-    units: Sequence[Unit], executor: Executor, seconds: float, progress: Callable[[float, float], None]
+    units: Sequence[Unit], executor: Executor, seconds: float, progress: Callable[[int, int], None]
 ) -> list[Cost]:
     """Returns the costs of a spread of the units, measured wherever the executor runs them, until time is up.
 
@@ -55,7 +55,7 @@ def measure(
         for cost in executor(partial(cost_of, store=Store(Path(folder))), spread()):
             begin = begin or [time.perf_counter()]  # workers have started
             costs.append(cost)
-            progress(min(time.perf_counter() - begin[0], seconds), seconds)
+            progress(round(min(time.perf_counter() - begin[0], seconds)), round(seconds))
     return costs
 
 

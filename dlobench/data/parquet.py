@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import uuid
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -56,7 +56,13 @@ def check_free(out: Path) -> None:
         raise UsageError(f"{out} exists already; an export overwrites nothing")
 
 
-def export(store: Store, of: DomainSet, spans: Iterable[Span], out: Path) -> int:
+def export(
+    store: Store,
+    of: DomainSet,
+    spans: Iterable[Span],
+    out: Path,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> int:
     """Writes `out/domains.parquet` and `out/states/<domain>.parquet`, and returns the number of states.
 
     Streams shard by shard, every byte checked, so that memory is flat. All is made in a hidden folder beside `out` and
@@ -66,16 +72,21 @@ def export(store: Store, of: DomainSet, spans: Iterable[Span], out: Path) -> int
     out = out.resolve()
     check_free(out)
     spans = sorted(spans, key=lambda span: (span.domain, span.first))
+    total = len({span.domain for span in spans})
     pending = status(store, of, of.units(spans)).pending
     if pending:
-        raise RunError(f"{len(pending)} shards are still to be generated, the first {store.path(of, pending[0])}")
+        where = store.path(of, pending[0])
+        raise RunError(
+            f"{len(pending)} shards are still to be made by `dlobench generate {of.name}`, the first {where}"
+        )
     hidden = out.with_name(f".{out.name}.{uuid.uuid4().hex[:12]}.tmp")
     try:
         try:
             (hidden / FOLDER).mkdir(parents=True)
             (hidden / table.NAME).write_bytes(table.content(of))
-            states = 0
+            states = done = 0
             for domain, group in groupby(spans, key=lambda span: span.domain):
+                progress(done := done + 1, total)
                 states += _write_domain(store, of, list(group), hidden / FOLDER / f"{domain:05d}.parquet")
             for path in (*hidden.rglob("*"), hidden):
                 _sync(path)

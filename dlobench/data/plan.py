@@ -50,7 +50,7 @@ def plan(
     *,
     workers: int,
     seconds: float,
-    progress: Callable[[float, float], None],
+    progress: Callable[[int, int], None],
 ) -> Plan:
     """Plans the generation of spans on so many workers, after measuring for some `seconds` where the executor runs."""
     from dlobench.data.cost import measure  # imports the world, which lists of sets can do without
