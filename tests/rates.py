@@ -1,4 +1,4 @@
-"""Keeps the pushes per second of every side of a benchmark, and sets them beside each other."""
+"""Keeps what the sides of a benchmark made, to be printed beside each other at the end."""
 
 from __future__ import annotations
 
@@ -19,6 +19,10 @@ class Rate:
 Rates = dict[str, Rate]  # by side, in the order in which they were measured
 
 KEPT = pytest.StashKey[Rates]()
+
+Tables = dict[str, list[str]]  # lines by title, of what is not counted in pushes per second
+
+TABLES = pytest.StashKey[Tables]()
 
 
 def lines(rates: Rates) -> Iterator[str]:

@@ -1,11 +1,11 @@
-"""Prints how many times as fast as each of its peers the shipped simulator was."""
+"""Prints how many times as fast as each of their peers simulator and readers were."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import pytest
-from rates import KEPT, Rates, lines
+from rates import KEPT, TABLES, Rates, Tables, lines
 
 
 @pytest.fixture
@@ -14,8 +14,18 @@ def rates(request: pytest.FixtureRequest) -> Rates:
     return request.config.stash.setdefault(KEPT, {})
 
 
+@pytest.fixture
+def tables(request: pytest.FixtureRequest) -> Tables:
+    """Returns the tables that this session prints at its end, to be added to."""
+    return request.config.stash.setdefault(TABLES, {})
+
+
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
-    """Prints the table, where anything was measured."""
+    """Prints the tables, where anything was measured."""
+    for title, rows in config.stash.get(TABLES, {}).items():
+        terminalreporter.section(title)
+        for line in rows:
+            terminalreporter.write_line(line)
     if config.stash.get(KEPT, None):
         terminalreporter.section("pushes per second of processor time, three rigid objects")
         for line in lines(config.stash[KEPT]):
