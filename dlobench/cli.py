@@ -78,6 +78,7 @@ def run(
     workers: Workers = None,
     threads: Annotated[int, typer.Option(min=1, help="Threads of torch; small networks gain nothing from more.")] = 1,
     force: Annotated[bool, typer.Option("--force", help="Run again what is recorded already.")] = False,
+    keep_going: Annotated[bool, typer.Option("--keep-going", help="Record fits that fail, and go on.")] = False,
 ) -> None:
     """Run a model on a task: generate what is missing, fit, adapt, score, record, print the board."""
     from dlobench.bench import leaderboard, results
@@ -120,6 +121,7 @@ def run(
         executor=find_executor("local", workers=workers),
         reporter=TerminalReporter(),
         force=force,
+        keep_going=keep_going,
     )
     frame = leaderboard.table(results.read_all(out))
     leaderboard.write(frame, out / "leaderboard.csv")

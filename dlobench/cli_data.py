@@ -43,20 +43,21 @@ def generate(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Write SLURM's script, and submit nothing.")] = False,
 ) -> None:
     """Generate what is missing of a set. Stop it at any time: the next call goes on."""
-    from dlobench.bench.run import ensure_data, missing
     from dlobench.console import TerminalReporter
+    from dlobench.data.ensure import ensure_data, missing
     from dlobench.data.executors import find_executor
-    from dlobench.data.sets import find, find_scale
+    from dlobench.data.imported import find_ours
+    from dlobench.data.sets import find_scale
     from dlobench.data.slurm import Slurm
 
-    of, chosen = find(set_name), find_scale(scale)
+    store, reporter, chosen = open_store(data), TerminalReporter(), find_scale(scale)
+    of = find_ours(store, set_name)
     spans = of.spans(chosen)
     order = list(dict.fromkeys(span.domain for span in spans))
     if domains is not None and not 1 <= domains <= len(order):
         raise UsageError(f"--domains {domains} is outside 1–{len(order)}, what {set_name}/{scale} has")
     wanted = set(order[:domains])
     spans = [span for span in spans if span.domain in wanted]
-    store, reporter = open_store(data), TerminalReporter()
     where = find_executor(
         executor,
         workers=workers,

@@ -27,7 +27,7 @@ def list_tasks(as_json: Json = False) -> None:
     for name, found in find("tasks").items():
         task = load_task(name)
         for scale in SCALES:
-            cells = [task.cell_id(fit, K) for fit in task.fits(scale) for K in task.scale(scale).K]
+            cells = list(dict.fromkeys(task.cell_id(fit, K) for fit in task.fits(scale) for K in task.scale(scale).K))
             rows.append({"task": name, "about": found.about, "set": task.set, "scale": scale, "cells": cells})
     print_rows(rows, as_json, ["task", "scale", "cells", "set"])
 

@@ -36,7 +36,7 @@ def test_a_row_says_what_its_records_say(tmp_path: Path) -> None:
         "domains": "2", "data": "a" * 8, "split": "b" * 8,
     }  # fmt: skip
     assert expected.items() <= row.items()
-    numbers = {"skill": 0.75, "mse_m2": 1e-4, "euclidean_m": 0.01, "fit_s": 1.5, "adapt_s": 0.01, "predict_s": 1e-5}
+    numbers = {"skill": 0.75, "mse_m2": 1e-4, "euclidean_m": 0.01, "fit_s": 1.5, "adapt_s": 0.001, "predict_s": 1e-5}
     assert {name: float(row[name]) for name in numbers} == pytest.approx(numbers)
     assert list(row) == leaderboard.COLUMNS
 

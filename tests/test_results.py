@@ -27,6 +27,8 @@ def record(
             euclidean=mse**0.5,
             persistence_mse=4e-4,
             persistence_euclidean=0.02,
+            adapt_seconds=0.001,
+            predict_seconds=1e-5,
         )
         for i in (3, 7)
     ]
@@ -39,8 +41,6 @@ def record(
             mse=mse,
             euclidean=mse**0.5,
             skill=1 - mse / 4e-4,
-            adapt_seconds=0.001 * k,
-            predict_seconds=1e-5,
             domains=domains,
         )
         for k in K
@@ -156,7 +156,7 @@ def test_an_empty_folder_holds_no_records(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
-@pytest.mark.parametrize("name", ["mse", "euclidean", "skill", "adapt_seconds"])
+@pytest.mark.parametrize("name", ["mse", "euclidean", "skill"])
 def test_a_score_that_is_not_finite_makes_no_record(name: str, value: float) -> None:
     fields = record().cells[0].model_dump() | {name: value}
     with pytest.raises(ValidationError, match=name):

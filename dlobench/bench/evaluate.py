@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import time
 from collections.abc import Callable, Mapping
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -62,50 +62,57 @@ def parameters(model: Model, what: str) -> int:
     return call(f"{what}.parameters", lambda: counted(model.parameters()))
 
 
-def score_cell(
+def score_domains(
     model: Model,
     *,
-    task: Task,
     scale: Scale,
-    fit: Fit,
+    horizon: int,
     K: int,
     domains: Mapping[str, tuple[str, Trajectories]],
     progress: Callable[[int, int], None],
-) -> CellScore:
-    """Adapts to K trajectories of every unseen domain (id → its cell and trajectories) and scores its queries."""
-    scores, adapting, predicting, queries = [], list[float](), 0.0, 0
-    what = type(model).__name__
+) -> list[DomainScore]:
+    """Adapts to K trajectories of every domain (id → its cell and trajectories) and scores its queries."""
+    scores = []
     for done, (name, (cell, trajectories)) in enumerate(domains.items()):
         progress(done, len(domains))
-        query, truth = trajectories.take(slice(scale.support, scale.support + scale.query)).windows(fit.horizon)
-        true, mask = truth.dlo[0], query.dlo_mask
-        errors = []
-        for chosen in supports(scale.support, K):
-            support = copy.deepcopy(trajectories.take(chosen))  # the model's own: the pool stays as it is
-            begin = time.perf_counter()
-            adapted = call(f"{what}.adapt", lambda s=support: model.adapt(s)) if K else model  # type: ignore[misc]
-            if not isinstance(adapted, Model):
-                raise RunError(f"{what}.adapt returned {type(adapted).__name__}, a Model was asked for")
-            middle = time.perf_counter()
-            predicted = predict(adapted, query, what).dlo[0]
-            adapting.append(middle - begin)
-            predicting, queries = predicting + time.perf_counter() - middle, queries + len(query)
-            errors.append((metrics.mse(predicted, true, mask), metrics.euclidean(predicted, true, mask)))
-        mse, euclidean = np.mean(errors, axis=0)
-        still = query.dlo[..., :2]
-        scores.append(
-            DomainScore(
-                domain=name,
-                cell=cell,
-                supports=len(errors),
-                windows=len(query),
-                mse=mse,
-                euclidean=euclidean,
-                persistence_mse=metrics.mse(still, true, mask),
-                persistence_euclidean=metrics.euclidean(still, true, mask),
-            )
-        )
+        errors = _errors(model, trajectories, scale=scale, horizon=horizon, K=K)
+        scores.append(DomainScore(domain=name, cell=cell, **errors))
     progress(len(domains), len(domains))
+    return scores
+
+
+def _errors(model: Model, trajectories: Trajectories, *, scale: Scale, horizon: int, K: int) -> dict[str, Any]:
+    """Returns the scores of one domain by name, averaged over its supports."""
+    what = type(model).__name__
+    query, truth = trajectories.take(slice(scale.support, scale.support + scale.query)).windows(horizon)
+    true, mask = truth.dlo[0], query.dlo_mask
+    errors, adapting, predicting = [], 0.0, 0.0
+    for chosen in supports(scale.support, K):
+        support = copy.deepcopy(trajectories.take(chosen))  # the model's own: the pool stays as it is
+        begin = time.perf_counter()
+        adapted = call(f"{what}.adapt", lambda s=support: model.adapt(s)) if K else model  # type: ignore[misc]
+        if not isinstance(adapted, Model):
+            raise RunError(f"{what}.adapt returned {type(adapted).__name__}, a Model was asked for")
+        middle = time.perf_counter()
+        predicted = predict(adapted, query, what).dlo[0]
+        adapting, predicting = adapting + middle - begin, predicting + time.perf_counter() - middle
+        errors.append((metrics.mse(predicted, true, mask), metrics.euclidean(predicted, true, mask)))
+    mse, euclidean = np.mean(errors, axis=0)
+    still = query.dlo[..., :2]
+    return {
+        "supports": len(errors),
+        "windows": len(query),
+        "mse": mse,
+        "euclidean": euclidean,
+        "persistence_mse": metrics.mse(still, true, mask),
+        "persistence_euclidean": metrics.euclidean(still, true, mask),
+        "adapt_seconds": adapting / len(errors) if K else 0.0,
+        "predict_seconds": predicting / len(errors) / len(query),
+    }
+
+
+def summarise(task: Task, fit: Fit, K: int, scores: list[DomainScore]) -> CellScore:
+    """Returns the scores of a cell, means over its domains."""
     return CellScore(
         id=task.cell_id(fit, K),
         trajectories=fit.trajectories,
@@ -114,7 +121,5 @@ def score_cell(
         mse=float(np.mean([s.mse for s in scores])),
         euclidean=float(np.mean([s.euclidean for s in scores])),
         skill=metrics.skill([s.mse for s in scores], [s.persistence_mse for s in scores]),
-        adapt_seconds=float(np.mean(adapting)) if K else 0.0,
-        predict_seconds=predicting / queries,
         domains=scores,
     )

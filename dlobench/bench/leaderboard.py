@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from statistics import fmean
 
 import pandas as pd
 
@@ -28,11 +29,11 @@ def table(records: list[Record]) -> pd.DataFrame:
             "skill": cell.skill,
             "mse_m2": cell.mse,
             "euclidean_m": cell.euclidean,
-            "fit_s": next(
+            "fit_s": sum(
                 f.seconds for f in record.fits if (f.trajectories, f.horizon) == (cell.trajectories, cell.horizon)
             ),
-            "adapt_s": cell.adapt_seconds,
-            "predict_s": cell.predict_seconds,
+            "adapt_s": fmean(score.adapt_seconds for score in cell.domains),
+            "predict_s": fmean(score.predict_seconds for score in cell.domains),
             "parameters": record.parameters,
             "trajectories": cell.trajectories,
             "horizon": cell.horizon,

@@ -35,6 +35,11 @@ class Order:
         """Returns the set that the task reads."""
         return self.task.of
 
+    @property
+    def hyperparameters(self) -> dict[str, Any]:
+        """Returns every hyperparameter of the model by name."""
+        return hyperparameters(self.plugin.model) | dict(self.settings)
+
     @cached_property
     def spans(self) -> dict[Part, list[Span]]:
         """Returns the trajectories that the run reads, part by part."""

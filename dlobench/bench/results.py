@@ -36,6 +36,8 @@ class DomainScore(_Part):
     euclidean: float = Field(ge=0)  # m, per segment
     persistence_mse: float = Field(ge=0)  # m²
     persistence_euclidean: float = Field(ge=0)  # m
+    adapt_seconds: float = Field(ge=0)  # of one adaptation
+    predict_seconds: float = Field(ge=0)  # of one query
 
 
 class CellScore(_Part):
@@ -48,8 +50,6 @@ class CellScore(_Part):
     mse: float = Field(ge=0)  # m², mean over domains
     euclidean: float = Field(ge=0)  # m, mean over domains
     skill: float  # 1 − Σ mse / Σ persistence_mse
-    adapt_seconds: float  # of one adaptation
-    predict_seconds: float  # of one query
     domains: list[DomainScore]
 
 
@@ -58,8 +58,18 @@ class FitReport(_Part):
 
     trajectories: int
     horizon: int
+    domain: str | None = None  # set/index, where every domain is fitted apart
     seconds: float
     curve: list[dict[str, float]]  # step and what the model logged
+
+
+class Failure(_Part):
+    """Names a fit that failed, and why."""
+
+    trajectories: int
+    horizon: int
+    domain: str | None = None
+    error: str
 
 
 class Provenance(_Part):
@@ -95,6 +105,7 @@ class Record(_Part):
     seconds: float  # wall time of the whole run, data aside
     fits: list[FitReport]
     cells: list[CellScore]
+    failures: list[Failure] = []  # fits that failed; their cells are missing
     provenance: Provenance
 
     @model_validator(mode="after")

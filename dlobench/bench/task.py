@@ -32,6 +32,7 @@ class Fit:
 
     trajectories: int
     horizon: int
+    domain: int | None = None  # the only one it is about, where a task fits every domain apart
 
 
 @dataclass(frozen=True)
@@ -45,9 +46,8 @@ class Task:
     mini: Scale
     small: Scale
     paper: Scale
-    where: Mapping[str, object] = field(
-        default_factory=dict
-    )  # fields of the set's cells and their values; a tuple: any of them
+    where: Mapping[str, object] = field(default_factory=dict)  # fields of the set's cells; a tuple: any of its values
+    apart: bool = False  # whether every domain has a fit of its own, scored on other trajectories of that domain
     imported: ImportedSet | None = None  # the set, where it is none of ours
 
     @property
@@ -63,8 +63,9 @@ class Task:
     def check(self, scale: ScaleName) -> None:
         """Raises `UsageError`, naming field and value, for what no run could honour at a scale."""
         chosen, of = self.scale(scale), self.of
-        most = {part: min((s.count for s in self._spans(scale) if s.part == part), default=0) for part in PARTS}
-        unseen = min(most["valid"], most["test"])
+        counts = {part: [span.count for span in self._spans(scale) if span.part == part] for part in PARTS}
+        most = {part: min(found, default=0) for part, found in counts.items()}
+        unseen = most["test"] if self.apart else min(most["valid"], most["test"])
 
         def numbers(field: str, values: object, low: int, high: int) -> None:
             if not isinstance(values, tuple) or not values or len(set(values)) < len(values):
@@ -81,8 +82,13 @@ class Task:
         if not all(most.values()):
             part = next(part for part, count in most.items() if not count)
             raise UsageError(f"task {self.name!r}: no {part} domain of {self.set}/{scale} has {dict(self.where)}")
+        if self.apart and of.parted != "trajectories":
+            raise UsageError(
+                f"task {self.name!r}: apart needs domains that have all parts, those of {self.set} have one"
+            )
         numbers("horizon", self.horizon, 1, of.pushes)
-        numbers(f"{scale}.trajectories", chosen.trajectories, 1, most["train"])
+        largest = max(counts["train"]) if self.apart else most["train"]  # what some domains lack others may have
+        numbers(f"{scale}.trajectories", chosen.trajectories, 1, largest)
         numbers(f"{scale}.support", (chosen.support,), 0, unseen)
         numbers(f"{scale}.query", (chosen.query,), 1, unseen)
         numbers(f"{scale}.support + query", (chosen.support + chosen.query,), 1, unseen)
@@ -95,11 +101,15 @@ class Task:
 
     def spans(self, scale: ScaleName) -> dict[Part, list[Span]]:
         """Returns what the task reads at a scale, part by part: domains and how many trajectories of each."""
-        chosen = self.scale(scale)
+        chosen, found = self.scale(scale), self._spans(scale)
         unseen = chosen.support + chosen.query
-        need: dict[Part, int] = {"train": max(chosen.trajectories), "valid": unseen, "test": unseen}
-        found = self._spans(scale)
-        return {part: [span.head(need[part]) for span in found if span.part == part] for part in PARTS}
+
+        def count(span: Span) -> int:
+            if span.part == "train":
+                return max((size for size in chosen.trajectories if size <= span.count), default=0)
+            return span.count if self.apart and span.part == "valid" else unseen
+
+        return {part: [span.head(count(span)) for span in found if span.part == part] for part in PARTS}
 
     def _spans(self, scale: ScaleName) -> list[Span]:
         """Returns the set's spans that the task is about, whole and in the order of their domains."""
@@ -111,12 +121,20 @@ class Task:
         return sorted(spans, key=lambda span: (span.domain, span.first))
 
     def fits(self, scale: ScaleName) -> list[Fit]:
-        """Returns the fits of a scale, smallest first."""
-        return [Fit(trajectories, n) for trajectories in self.scale(scale).trajectories for n in self.horizon]
+        """Returns the fits of a scale, domain by domain where they are fitted apart, smallest first."""
+        sizes, train = self.scale(scale).trajectories, self.spans(scale)["train"]
+        domains = {span.domain: span.count for span in train} if self.apart else {None: max(sizes)}
+        return [
+            Fit(size, n, domain)
+            for domain, most in domains.items()
+            for size in sizes
+            if size <= most
+            for n in self.horizon
+        ]
 
     def cell_id(self, fit: Fit, K: int) -> str:
-        """Names one point of the sweep, such as `meta/trajectories20-h4-k10`."""
-        return f"{self.name}/trajectories{fit.trajectories}-h{fit.horizon}-k{K}"
+        """Names one point of the sweep, such as `meta/trajectories20-h4-k10`; without K where domains are apart."""
+        return f"{self.name}/trajectories{fit.trajectories}-h{fit.horizon}{'' if self.apart else f'-k{K}'}"
 
 
 def split_digest(spans: Mapping[Part, Sequence[Span]]) -> str:
