@@ -87,12 +87,14 @@ def verify(
 
 def _judge(broken: dict[str, int], again: list[dict[str, Any]], data: Path | None) -> None:
     """Raises `RunError` where anything is wrong, with the commands that mend it."""
+    from dlobench.data.sets import SETS
+
     where = "" if data is None else f" --data {data}"
     if broken:
-        mend = " and ".join(f"`dlobench data repair {name}{where}`" for name in broken)
+        mend = [f"`dlobench data {'repair' if name in SETS else 'import --name'} {name}{where}`" for name in broken]
         number = sum(broken.values())
         what, them = ("shards are", "them") if number > 1 else ("shard is", "it")
-        raise RunError(f"{number} {what} broken; {mend} generates {them} again")
+        raise RunError(f"{number} {what} broken; {' and '.join(mend)} brings {them} back")
     wrong = [row["shard"] for row in again if not row["agrees"]]
     if wrong:
         raise RunError(

@@ -118,7 +118,7 @@ def test_verify_fails_by_what_is_broken_and_names_what_mends_it(call: Call, of: 
         done = call("verify", of.name, "--workers", 1, *arguments)
         assert done.code == 1
         said = done.err.splitlines()[-1]
-        assert said == f"dlobench: 1 shard is broken; `dlobench data repair meta-learning{mend}` generates it again"
+        assert said == f"dlobench: 1 shard is broken; `dlobench data repair meta-learning{mend}` brings it back"
     assert json.loads(call("verify", "--json", "--workers", 1).out)["sets"][2]["broken"] == 1
     assert call("verify", "distribution").code == 0
     assert call("repair", of.name, "--workers", 1).code == 0

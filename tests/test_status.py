@@ -92,6 +92,8 @@ def test_what_is_no_whole_shard_is_told_apart(store: Store) -> None:
     for path in (half, stray, misplaced):
         path.touch()
     foreign.mkdir()
+    for name in ("domains.parquet", "README.md"):  # what may lie beside the domains
+        (folder.parent / name).touch()
     found = census(store, OF)
     assert counted(found) == [(0, 1, 1), (0, 7, 1), (1, 46, 1)]
     assert list(found.broken) == [MINI[0]]

@@ -48,10 +48,12 @@ def folders(store: Store, of: DomainSet) -> Iterator[Folder]:
     names = listed(store.root / of.key)
     for name in names:
         path = store.root / of.key / name
-        if re.fullmatch(r"\d{5}", name) and path.is_dir() and any(int(name) in each for each in known):
+        if re.fullmatch(r"\d{5}", name) and any(int(name) in each for each in known):
             yield _folder(of, path, known)
-        else:
-            yield Folder(temporary=[path]) if _temporary(name) else Folder(strays=[path])
+        elif _temporary(name):
+            yield Folder(temporary=[path])
+        elif path.is_dir():  # files beside the domains are tables and cards
+            yield Folder(strays=[path])
 
 
 def _folder(of: DomainSet, path: Path, known: list[Places]) -> Folder:
