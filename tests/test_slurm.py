@@ -9,7 +9,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -189,7 +189,7 @@ def test_an_array_never_has_more_tasks_than_slurm_takes(tmp_path: Path) -> None:
 
 def test_a_dry_run_writes_the_script_and_submits_nothing(tmp_path: Path) -> None:
     """With no SLURM on the PATH at all."""
-    command = [DLOBENCH, "generate", META.name, "--data", tmp_path, "--executor", "slurm", "--dry-run"]
+    command = [str(DLOBENCH), "generate", META.name, "--data", str(tmp_path), "--executor", "slurm", "--dry-run"]
     options = ["--slurm", "partition=long", "--slurm", "time=1:00:00", "--workers", "5"]
     done = subprocess.run(
         [*command, *options], capture_output=True, text=True, check=False, env=os.environ | {"PATH": "/nowhere"}
@@ -249,6 +249,7 @@ def test_what_sbatch_refuses_is_said(cluster: None, tmp_path: Path, capfd: pytes
 def test_stopping_cancels_what_is_queued(cluster: None, impatient: None, tmp_path: Path) -> None:
     results = Slurm(tmp_path, workers=1, chunk=1)(sleep_unless_first, range(4))
     assert next(results) == 0
+    assert isinstance(results, Generator)
     results.close()  # what Ctrl-C does, too
     end = time.monotonic() + 20
     while subprocess.run(["squeue", "--noheader"], capture_output=True, check=True).stdout.strip():

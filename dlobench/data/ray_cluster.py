@@ -75,8 +75,8 @@ def _result(reference: Any) -> Any:
         return ray.get(reference)
     except ray.exceptions.RayTaskError as error:
         cause = error.cause
-        if isinstance(cause, ModuleNotFoundError):
-            raise RunError(f"a node lacks what this one has installed: {cause}") from error
+        if "failed to import on the worker" in str(cause):
+            raise RunError(f"a node lacks what is installed here ({str(cause).splitlines()[-1]})") from error
         raise cause from error
     except ray.exceptions.RayError as error:
         reason = next(iter(str(error).splitlines()), type(error).__name__)
