@@ -38,6 +38,12 @@ app.command()(render)
 app.command()(validate)
 
 
+TimeLimit = Annotated[float, typer.Option(help="Seconds that each call into the plugin may take.")]
+MemoryLimit = Annotated[
+    float | None, typer.Option(help="GB that the plugin may hold. Default: three quarters of the machine's.")
+]
+
+
 def _version(wanted: bool) -> None:
     if wanted:
         from dlobench.machine import versions
@@ -77,67 +83,82 @@ def run(
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
     workers: Workers = None,
     threads: Annotated[int, typer.Option(min=1, help="Threads of torch; small networks gain nothing from more.")] = 1,
+    time_limit: TimeLimit = 6 * 3600.0,
+    memory_limit: MemoryLimit = None,
     force: Annotated[bool, typer.Option("--force", help="Run again what is recorded already.")] = False,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Record fits that fail, and go on.")] = False,
 ) -> None:
     """Run a model on a task: generate what is missing, fit, adapt, score, record, print the board."""
     from dlobench.bench import leaderboard, results
     from dlobench.bench import run as bench
+    from dlobench.bench.limits import limits
     from dlobench.bench.order import order, resolve_device
-    from dlobench.bench.plugins import load_model, load_task, parse_settings
+    from dlobench.bench.plugins import load_task
+    from dlobench.bench.sandbox import Sandbox
     from dlobench.console import TerminalReporter
     from dlobench.data.executors import find_executor
     from dlobench.data.imported import check_whole, find_imported
     from dlobench.data.sets import find_scale
     from dlobench.nn.budget import Budget
 
-    plugin, asked, store = load_model(model), load_task(task), open_store(data)
-    imported = None if on is None else find_imported(store, on)
-    wanted = order(
-        asked if imported is None else asked.on(imported),
-        find_scale(scale),
-        plugin,
-        K,
-        horizon,
-        seed=seed,
-        settings=parse_settings(plugin.model, settings or []),
-        budget=Budget(steps=max_steps, minutes=max_minutes),
-        device=resolve_device(device, threads),
-    )
-    if out.exists() and not out.is_dir():
-        raise UsageError(f"--out {out} is not a folder")
-    if out.is_dir():
-        results.read_all(out)  # a foreign file would spoil the board: better said now than after the fit
-    if max_minutes is not None and not math.isfinite(max_minutes):
-        raise UsageError(f"--max-minutes {max_minutes} is not a finite number of minutes")
-    if imported is not None:
-        check_whole(store, imported, [span for spans in wanted.spans.values() for span in spans])
-    command = shlex.join(["dlobench", *sys.argv[1:]]).encode(errors="backslashreplace").decode()
-    record = bench.run(
-        wanted,
-        store,
-        out,
-        command=command,
-        executor=find_executor("local", workers=workers),
-        reporter=TerminalReporter(),
-        force=force,
-        keep_going=keep_going,
-    )
+    asked, store = load_task(task), open_store(data)
+    with Sandbox(limits(time_limit, memory_limit), hidden=[store.root, out], threads=threads) as sandbox:
+        imported = None if on is None else find_imported(store, on)
+        wanted = order(
+            asked if imported is None else asked.on(imported),
+            find_scale(scale),
+            sandbox.load(model),
+            K,
+            horizon,
+            seed=seed,
+            settings=sandbox.parse_settings(settings or []),
+            budget=Budget(steps=max_steps, minutes=max_minutes),
+            device=resolve_device(device, threads),
+        )
+        if out.exists() and not out.is_dir():
+            raise UsageError(f"--out {out} is not a folder")
+        if out.is_dir():
+            results.read_all(out)  # a foreign file would spoil the board: better said now than after the fit
+        if max_minutes is not None and not math.isfinite(max_minutes):
+            raise UsageError(f"--max-minutes {max_minutes} is not a finite number of minutes")
+        if imported is not None:
+            check_whole(store, imported, [span for spans in wanted.spans.values() for span in spans])
+        command = shlex.join(["dlobench", *sys.argv[1:]]).encode(errors="backslashreplace").decode()
+        record = bench.run(
+            wanted,
+            store,
+            out,
+            command=command,
+            executor=find_executor("local", workers=workers),
+            reporter=TerminalReporter(),
+            force=force,
+            keep_going=keep_going,
+        )
     frame = leaderboard.table(results.read_all(out))
     leaderboard.write(frame, out / "leaderboard.csv")
     show(frame[frame["cell"].isin([cell.id for cell in record.cells]) & (frame["scale"] == record.scale)])
 
 
 @app.command()
-def check(path: Annotated[str, typer.Argument(metavar="PATH", help="A model plugin: its file or name.")]) -> None:
+def check(
+    path: Annotated[str, typer.Argument(metavar="PATH", help="A model plugin: its file or name.")],
+    time_limit: TimeLimit = 600.0,
+    memory_limit: MemoryLimit = None,
+) -> None:
     """Check that a plugin keeps the contract, on a tiny set, in seconds."""
     from dlobench.bench.contract import check as outcomes
-    from dlobench.bench.plugins import load_model
+    from dlobench.bench.limits import limits
+    from dlobench.bench.sandbox import Sandbox
 
-    failed = 0
-    for outcome in outcomes(load_model(path)):
-        typer.echo(f"{'ok    ' if outcome.passed else 'FAILED'}  {outcome.name}{outcome.why and ': ' + outcome.why}")
-        failed += not outcome.passed
+    failed, allowed = 0, limits(time_limit, memory_limit)
+    with Sandbox(allowed) as sandbox, Sandbox(allowed) as another:
+        plugin = sandbox.load(path)
+        for outcome in outcomes(plugin, lambda: another.load(path)):
+            typer.echo(
+                f"{'ok    ' if outcome.passed else 'FAILED'}  {outcome.name}{outcome.why and ': ' + outcome.why}"
+            )
+            failed += not outcome.passed
+        typer.echo(f"the plugin ran in a process of its own: {'; '.join(plugin.protection)}")
     if failed:
         raise RunError(f"{path} breaks the contract in {failed} point{'s' * (failed > 1)}")
 

@@ -20,9 +20,10 @@ UNTOUCHED = "leaves the query as it was"
 PERMUTED = "permuted queries give permuted predictions"
 ADAPTS = "adapts to 1 trajectory and predicts"
 UNCHANGED = "adapting leaves the model as it was"
+FORGETFUL = "adapting depends on nothing before"
 SEEDED = "the same seed gives the same model"
 COUNTS = "counts its parameters"
-ALL = [FITS, PREDICTS, TWICE, UNTOUCHED, PERMUTED, ADAPTS, UNCHANGED, SEEDED, COUNTS]
+ALL = [FITS, PREDICTS, TWICE, UNTOUCHED, PERMUTED, ADAPTS, UNCHANGED, FORGETFUL, SEEDED, COUNTS]
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -44,14 +44,20 @@ def tiny() -> list[Trajectories]:
     return out
 
 
-def check(plugin: ModelPlugin) -> Iterator[Check]:
-    """Yields the outcome of every check, one after the other; later ones are skipped once a fit has failed."""
+def check(plugin: ModelPlugin, again: Callable[[], ModelPlugin] | None = None) -> Iterator[Check]:
+    """Yields the outcome of every check, one after the other; later ones are skipped once a fit has failed.
+
+    `again` loads the plugin in another process, where the same seed must give the same model.
+    """
     data = tiny()
     query, _ = data[-1].windows(HORIZON)
     fitted: list[Model] = []
 
     def fit() -> None:
         fitted.append(_fit(plugin, data))
+
+    def refitted() -> Model:
+        return _fit(plugin if again is None else again(), data)
 
     yield _outcome("fits on three domains, validating on one", fit)
     if not fitted:
@@ -63,7 +69,8 @@ def check(plugin: ModelPlugin) -> Iterator[Check]:
     yield _outcome("permuted queries give permuted predictions", lambda: _permuted(model, query, plugin.name))
     yield _outcome("adapts to 1 trajectory and predicts", lambda: predict(_adapt(model, data), query, plugin.name))
     yield _outcome("adapting leaves the model as it was", lambda: _unchanged(model, data, query, plugin.name))
-    yield _outcome("the same seed gives the same model", lambda: _same(model, _fit(plugin, data), query, plugin.name))
+    yield _outcome("adapting depends on nothing before", lambda: _forgetful(model, data, query, plugin.name))
+    yield _outcome("the same seed gives the same model", lambda: _same(model, refitted(), query, plugin.name))
     yield _outcome("counts its parameters", lambda: parameters(model, plugin.name))
 
 
@@ -82,8 +89,8 @@ def _fit(plugin: ModelPlugin, data: list[Trajectories]) -> Model:
     return model
 
 
-def _adapt(model: Model, data: list[Trajectories]) -> Model:
-    adapted = call("adapt", lambda: model.adapt(data[-1].take(slice(1))))
+def _adapt(model: Model, data: list[Trajectories], which: int = -1) -> Model:
+    adapted = call("adapt", lambda: model.adapt(copy.deepcopy(data[which].take(slice(1)))))
     if not isinstance(adapted, Model):
         raise RunError(f"adapt returned {type(adapted).__name__}, a Model was asked for")
     return adapted
@@ -114,3 +121,14 @@ def _unchanged(model: Model, data: list[Trajectories], query: Query, name: str) 
     _adapt(model, data)
     if not np.array_equal(before, predict(model, query, name).dlo):
         raise RunError("its predictions changed")
+
+
+def _forgetful(model: Model, data: list[Trajectories], query: Query, name: str) -> None:
+    first = _adapt(model, data)
+    before = predict(first, query, name).dlo.copy()
+    other = _adapt(model, data, 0)
+    predict(other, query, name)
+    if not np.array_equal(before, predict(first, query, name).dlo):
+        raise RunError("an adapted model predicts otherwise once another was adapted")
+    if not np.array_equal(before, predict(_adapt(model, data), query, name).dlo):
+        raise RunError("adapting to the same trajectories gives another model once one was adapted to others")

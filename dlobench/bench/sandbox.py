@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import signal
 import socket
@@ -14,13 +13,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn
 
 from dlobench.bench import plugins
 from dlobench.bench.answers import Misdeed
+from dlobench.bench.limits import Limits
 from dlobench.bench.plugins import ModelPlugin
 from dlobench.bench.processes import descendants, end_descendants, resident
 from dlobench.bench.remote import remote_model
@@ -36,21 +35,6 @@ _PASSED = [
 ]  # fmt: skip
 _PREFIXES = ("CUDA_", "NVIDIA_", "CUBLAS_", "TORCH_", "PYTORCH_", "XLA_", "JAX_", "KMP_", "GOMP_")
 _THREADS = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-
-
-def _most_memory() -> int:
-    """Returns three quarters of this machine's memory, bytes."""
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") * 3 // 4
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Limits what a plugin may take."""
-
-    seconds: float = 6 * 3600.0  # of wall time, for each call of fit, adapt and predict
-    memory: int = dataclasses.field(default_factory=_most_memory)  # bytes, the training data aside
-    processes: int = 64
-    output: int = 2**20  # bytes that it prints, for each call
 
 
 class Sandbox:
@@ -78,7 +62,10 @@ class Sandbox:
     def load(self, name_or_path: str) -> ModelPlugin:
         """Loads a model by name or path as `plugins.load_model` does, and raises as it does."""
         self._path = plugins.resolve("models", name_or_path)
-        self._ensure()
+        try:
+            self._ensure()
+        except Misdeed as error:
+            raise RunError(f"model plugin {self._path} {error}") from error
         found = self._found
         model = remote_model(self, found["class"], found["hyperparameters"], found["needed"])
         return ModelPlugin(self._path.stem, self._path, found["sha256"], model, self.protection)
