@@ -51,7 +51,9 @@ def confine(*, hidden: Sequence[Path], needed: Sequence[Path], folder: Path, mem
         with contextlib.suppress(OSError):
             for path in covered:
                 _mount(path, "size=4k,mode=000")
-            force.append(f"{' and '.join(map(str, covered))} hidden under empty mounts")
+            force.append(
+                "data and results under empty mounts" if covered == hidden else "some folders under empty mounts"
+            )
     if bound := _bound(tasks, root=root, private=private):
         force.append(f"at most {bound} tasks")
     with contextlib.suppress(OSError):
@@ -63,7 +65,7 @@ def confine(*, hidden: Sequence[Path], needed: Sequence[Path], folder: Path, mem
     with contextlib.suppress(OSError):
         _drop_privileges()
         force.append("no privileges")
-    if not any("Landlock" in phrase or "hidden" in phrase for phrase in force):
+    if not any("Landlock" in phrase or "data and results" in phrase for phrase in force):
         force.append("nothing hides the data and the results: this machine permits neither Landlock nor a mount")
     return force
 

@@ -89,6 +89,7 @@ class Provenance(_Part):
     hyperparameters: dict[str, Any]
     K: list[int]
     budget: dict[str, float | None]
+    protection: list[str] = Field(default_factory=list)  # from the plugin, what was in force; once it was not recorded
 
 
 class Record(_Part):

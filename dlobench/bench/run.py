@@ -108,6 +108,7 @@ def run(
             hyperparameters=hyper,
             K=list(order.K),
             budget=asdict(order.budget),
+            protection=list(order.plugin.protection),
         ),
     )
     reporter.say(f"run: recorded {results.write(record, out)}")
