@@ -8,22 +8,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dlobench.data.domain_set import DomainSet, Span
+from dlobench.data.domain_set import Cell, DomainSet, Span
 from dlobench.data.executors import Executor
 from dlobench.data.store import data_bytes
 
-# Pushes a second of one core by the number of rigid bodies, DLOs of 16 cm, all materials and attachments; measured
-# on a 2.6 GHz Xeon (Sapphire Rapids). `dlobench data plan` measures the machine that it runs on.
-RATES = (159.0, 137.0, 120.0, 105.0)
+# Processor seconds of a push, all materials and attachments, fitted to 108 domains of 10, 13 and 16 cm with 0 to 3
+# bodies on a 2.6 GHz Xeon (Sapphire Rapids): 356 pushes a second of the shortest DLO alone, 156 of the longest one,
+# 110 beside three bodies. `dlobench data plan` measures the machine that it runs on.
+SECONDS_PER_METRE = 0.060
+FREE_METRES = 0.053
+SECONDS_PER_BODY = 0.00095
 
 HEADER = 128  # bytes of an array's file before its numbers
 BLOCK = 4096  # bytes that a file system allocates at a time
 
 
 def estimated_hours(of: DomainSet, spans: Iterable[Span]) -> float:
-    """Returns the core-hours that generating these spans takes on the machine that `RATES` comes from."""
-    seconds = sum(span.count * of.pushes / RATES[of.cell(span.domain).rigid_objects] for span in spans)
-    return seconds / 3600
+    """Returns the core-hours that generating these spans takes on the machine that the constants come from."""
+    return sum(span.count * of.pushes * push_seconds(of.cell(span.domain)) for span in spans) / 3600
+
+
+def push_seconds(cell: Cell) -> float:
+    """Returns the processor seconds that a push takes there, on average over materials and attachments."""
+    return SECONDS_PER_METRE * (cell.length - FREE_METRES) + SECONDS_PER_BODY * cell.rigid_objects
 
 
 @dataclass(frozen=True)
