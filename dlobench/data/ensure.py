@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from typing import Protocol
 
+from dlobench.data import table
 from dlobench.data.domain_set import DomainSet, Span, Unit
 from dlobench.data.executors import Executor
 from dlobench.data.generate import generate
@@ -40,7 +41,10 @@ def missing(store: Store, of: DomainSet, spans: Iterable[Span]) -> tuple[list[Un
 
 
 def ensure_data(store: Store, of: DomainSet, spans: Iterable[Span], *, executor: Executor, reporter: Reporter) -> None:
-    """Generates what is missing; raises `RunError` for what is broken, which is never overwritten unasked."""
+    """Generates what is missing, and writes the table of the domains beside it.
+
+    Raises `RunError` for what is broken, which is never overwritten unasked.
+    """
     pending, there = missing(store, of, spans)
     folder = store.root / of.key
     if not pending:
@@ -51,6 +55,7 @@ def ensure_data(store: Store, of: DomainSet, spans: Iterable[Span], *, executor:
     with reporter.bar("generating", "pushes") as listen:
         generate(store, of, pending, executor, lambda done, total: listen(done, total, {}))
     seconds = time.perf_counter() - begin
+    table.write(store, of)
     pushes = sum(unit.count for unit in pending) * of.pushes
     reporter.say(
         f"data: {len(pending)} shards generated, {pushes:,} pushes in {seconds:,.1f} s "
