@@ -71,6 +71,12 @@ def _folder(of: DomainSet, path: Path, known: list[Places]) -> Folder:
     return out
 
 
+def sealed(folder: Path) -> set[int]:
+    """Returns the first trajectories of the shards in the folder of a domain that have a sidecar."""
+    matches = (_SHARD.fullmatch(name) for name in listed(folder) if name.endswith(".json"))
+    return {int(match[1]) for match in matches if match}
+
+
 def other_versions(store: Store, of: DomainSet) -> list[str]:
     """Returns the folders of this set that another version of it, of the world or of the engine has made."""
     return [name for name in listed(store.root) if re.match(rf"{re.escape(of.name)}-v\d", name) and name != of.key]

@@ -9,7 +9,7 @@ from itertools import groupby
 from pathlib import Path
 
 from dlobench.data.domain_set import SCALES, DomainSet, ScaleName, Unit
-from dlobench.data.inventory import folders, listed, places, within
+from dlobench.data.inventory import folders, places, sealed, within
 from dlobench.data.store import Broken, Store
 
 
@@ -27,9 +27,9 @@ def status(store: Store, of: DomainSet, units: Iterable[Unit], *, every_byte: bo
     out = Status()
     for _, group in groupby(units, key=lambda unit: unit.domain):
         of_domain = list(group)
-        here = set(listed(store.path(of, of_domain[0]).parent))
+        here = sealed(store.path(of, of_domain[0]).parent)
         for unit in of_domain:
-            if store.path(of, unit).with_suffix(".json").name not in here:
+            if unit.first not in here:
                 out.pending.append(unit)
                 continue
             try:

@@ -121,7 +121,7 @@ class Store:
 
     def path(self, of: DomainSet, unit: Unit) -> Path:
         """Returns where a unit's array is kept; its sidecar has the suffix .json."""
-        return self.root / of.key / f"{unit.domain:05d}" / f"{unit.first:07d}.npy"
+        return self.root / f"{of.key}/{unit.domain:05d}/{unit.first:07d}.npy"
 
     def sidecar(self, of: DomainSet, unit: Unit) -> dict[str, Any] | None:
         """Returns a shard's sidecar, or None where the shard is still to be made.
