@@ -40,23 +40,6 @@ def broken(number: int) -> int:
     raise ValueError(f"bad {number}")
 
 
-@pytest.fixture(scope="session")
-def ray_address() -> Iterator[str]:
-    """Starts a Ray of one node, of two CPUs, as `ray start --head` does; returns its address."""
-    pytest.importorskip("ray", reason="Ray is not installed: pip install 'dlobench[cluster]'")
-    from ray.cluster_utils import Cluster
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-        patch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)  # nodes find this file's functions
-        cluster = Cluster(
-            initialize_head=True,
-            head_node_args={"num_cpus": 2, "object_store_memory": 100_000_000, "include_dashboard": False},
-        )
-        yield cluster.address
-        cluster.shutdown()
-
-
 @pytest.fixture(params=["local", "ray"])
 def executor(request: pytest.FixtureRequest) -> Executor:
     if request.param == "ray":

@@ -124,18 +124,17 @@ def test_what_a_lost_node_was_at_is_done_elsewhere(
 
 
 def test_the_command_line_makes_the_same_bytes_on_a_ray_of_its_own(tmp_path: Path) -> None:
-    command = [str(DLOBENCH), "generate", META.name, "--domains", "2", "--workers", "2"]
-    said = {}
-    for name in ("local", "ray"):
-        options = ["--executor", name, "--data", str(tmp_path / name)]
-        done = subprocess.run([*command, *options], capture_output=True, text=True, check=False, timeout=120)
-        assert done.returncode == 0, done.stderr
-        said[name] = done.stderr
-    assert digests(tmp_path / "ray") == digests(tmp_path / "local")
-    lines = said["ray"].splitlines()
+    of_one = list(META.units(META.spans("mini")[:1]))
+    generate(Store(tmp_path / "here"), META, of_one, find_executor("local", workers=1), quiet)
+    options = ["--domains", "1", "--executor", "ray", "--workers", "1", "--data", str(tmp_path / "there")]
+    command = [str(DLOBENCH), "generate", META.name, *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert digests(tmp_path / "there") == digests(tmp_path / "here")
+    lines = done.stderr.splitlines()
     assert [line.split()[0] for line in lines] == ["data:", "generating", "data:"], "Ray keeps quiet"
-    assert "800/800 pushes" in lines[1]
-    assert lines[2].startswith("data: 2 shards generated, 800 pushes in ")
+    assert "400/400 pushes" in lines[1]
+    assert lines[2].startswith("data: 1 shards generated, 400 pushes in ")
 
 
 def test_ctrl_c_ends_ray_and_keeps_what_is_done(tmp_path: Path) -> None:
@@ -160,22 +159,24 @@ def test_ctrl_c_ends_ray_and_keeps_what_is_done(tmp_path: Path) -> None:
     assert first.exists()
 
 
-def test_a_piece_that_lost_its_process_is_done_again(tmp_path: Path) -> None:
-    results = find_executor("ray", workers=1)(partial(die_once, folder=tmp_path), range(3))
+def test_a_piece_that_lost_its_process_is_done_again(ray_address: str, tmp_path: Path) -> None:
+    results = find_executor("ray", address=ray_address)(partial(die_once, folder=tmp_path), range(3))
     assert sorted(results) == [0, 1, 2]
     assert (tmp_path / "died").exists()
 
 
-def test_what_a_node_cannot_import_is_one_sentence(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_what_a_node_cannot_import_is_one_sentence(
+    ray_address: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     (tmp_path / "only_here.py").write_text("def function(piece):\n    return piece\n")
     monkeypatch.syspath_prepend(tmp_path)
     function = importlib.import_module("only_here").function
     with pytest.raises(RunError, match=r"a node lacks .*No module named 'only_here'") as failure:
-        list(find_executor("ray", workers=1)(function, [0]))
+        list(find_executor("ray", address=ray_address)(function, [0]))
     assert "\n" not in str(failure.value)
 
 
-def test_a_piece_that_always_kills_its_process_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_piece_that_always_kills_its_process_ends_it(ray_address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ray_cluster, "RETRIES", 1)
     with pytest.raises(RunError, match="Ray gave up on a piece of work"):
-        list(find_executor("ray", workers=1)(die_always, [0]))
+        list(find_executor("ray", address=ray_address)(die_always, [0]))
