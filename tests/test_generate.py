@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -141,41 +140,6 @@ def test_two_workers_make_the_same_bytes_as_one(undisturbed: dict[str, str], tmp
     assert len(set(undisturbed.values())) == len(UNITS), "no two domains are alike"
     generate(Store(tmp_path), META, UNITS, find_executor("local", workers=2), quiet)
     assert digests(tmp_path) == undisturbed
-
-
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
-def test_a_killed_generation_is_resumed_to_the_same_bytes(
-    undisturbed: dict[str, str], tmp_path: Path, processes: list[subprocess.Popen[str]]
-) -> None:
-    store, rng, killed = Store(tmp_path), random.Random(time.time_ns()), 0
-    for _ in range(4):
-        have = len(digests(tmp_path))
-        if have == len(UNITS):
-            break
-        process = start(sys.executable, "-P", "-c", PROGRAM, tmp_path)
-        processes.append(process)
-        # Two of the rounds end at a random moment, two just when an array has appeared.
-        if killed % 2:
-            wait_for(lambda have=have, process=process: len(digests(tmp_path)) > have or process.poll() is not None)
-        else:
-            time.sleep(rng.uniform(0.3, 1.8))
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
-        wait_for(lambda process=process: not family(process.pid))
-        killed += 1
-        found = status(store, META, UNITS, every_byte=True)
-        assert not found.broken
-        for unit in found.done:
-            path = store.path(META, unit)
-            assert hashlib.sha256(path.read_bytes()).hexdigest() == undisturbed[str(path.relative_to(tmp_path))]
-    assert killed
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", PROGRAM, tmp_path], env=ENVIRONMENT, capture_output=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert digests(tmp_path) == undisturbed
-    assert len(status(store, META, UNITS, every_byte=True).done) == len(UNITS)
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are looked up in /proc")
