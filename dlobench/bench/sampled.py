@@ -19,7 +19,6 @@ from dlobench.errors import UsageError
 from dlobench.trajectories import Floats, Mask
 
 BANDWIDTHS = (0.0003, 0.001, 0.003, 0.01)  # m, of the kernel of MMD²: fixed, so that no data and no model moves them
-ORDER = 0.5  # of the variogram score
 
 
 def energy(samples: Floats, true: Floats, mask: Mask) -> float:
@@ -44,9 +43,9 @@ def segment_energy(samples: Floats, true: Floats, mask: Mask) -> float:
     """
     scores = []
     for x, y in _queries(samples, true, mask):
-        S = len(x)
-        for a, b in zip(_segments(x), _segments(y), strict=True):
-            scores.append(_between(a, b).mean() - _within(a).sum() / max(S * (S - 1), 1))
+        for k in range(0, x.shape[1], 2):
+            a, b = x[:, k : k + 2], y[:, k : k + 2]
+            scores.append(_between(a, b).mean() - _within(a).sum() / max(len(a) * (len(a) - 1), 1))
     return float(np.mean(scores))
 
 
@@ -63,8 +62,9 @@ def variogram(samples: Floats, true: Floats, mask: Mask) -> float:
     scores = []
     for x, y in _queries(samples, true, mask):
         estimated, observed = _variograms(x), _variograms(y)
-        noise = estimated.var(axis=0, ddof=1) / len(x) if len(x) > 1 else 0
-        scores.append(np.mean((estimated.mean(axis=0) - observed) ** 2 - noise))
+        expected = estimated.mean(axis=-1, keepdims=True)
+        noise = np.square(estimated - expected).sum() / max(len(x) * (len(x) - 1), 1) / expected.size
+        scores.append(np.square(expected - observed).mean() - noise)
     return float(np.mean(scores))
 
 
@@ -154,17 +154,12 @@ def _within(x: Array) -> Array:
     return distances
 
 
-def _segments(x: Array) -> Array:
-    """Returns the positions of each segment over the samples, (segments, S, 2) m."""
-    return x.reshape(len(x), -1, 2).swapaxes(0, 1)
-
-
 def _variograms(x: Array) -> Array:
-    """Returns |xᵢ − xⱼ|^½ of the coordinates of every pair of segments, (S, pairs, 2) m^½."""
-    shapes = x.reshape(len(x), -1, 2)
-    i, j = np.triu_indices(shapes.shape[1], k=1)
-    variograms: Array = np.abs(shapes[:, i] - shapes[:, j]) ** ORDER
-    return variograms
+    """Returns |xᵢ − xⱼ|^½ of the coordinates of every pair of segments, (pairs, 2, S) m^½."""
+    coordinates = np.ascontiguousarray(x.T).reshape(-1, 2, len(x))
+    i, j = np.triu_indices(len(coordinates), k=1)
+    difference = coordinates[i] - coordinates[j]
+    return np.sqrt(np.abs(difference, out=difference), out=difference)
 
 
 def _kernel(distance: Array) -> Array:

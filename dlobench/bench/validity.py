@@ -15,7 +15,7 @@ from dlobench.errors import UsageError
 from dlobench.trajectories import Floats, Mask
 
 APART = 3  # segments closer than this along the DLO are neighbours, as in `dlobench.world.chain`
-PIECE = 1024  # queries whose pairs of segments are held at a time
+PIECE = 256  # queries whose pairs of segments are held at a time
 
 
 def spacing_error(dlo: Floats, mask: Mask) -> float:
@@ -46,9 +46,9 @@ def _nearest(shapes: Array) -> Array:
     length = np.sqrt((along**2).sum(axis=-1, keepdims=True))
     half = SEGMENT_LENGTH / 2 * np.divide(along, length, out=np.zeros_like(along), where=length > 0)
     i, j = np.triu_indices(shapes.shape[1], k=APART + 1)
-    between = shapes[:, i] - shapes[:, j]
-    close = np.sqrt((between**2).sum(axis=-1)) <= 2 * DLO_RADIUS + SEGMENT_LENGTH  # the others cannot touch
-    b, pair = np.nonzero(close)
+    centres = np.ascontiguousarray(shapes.transpose(2, 1, 0))
+    x, y = centres[:, i] - centres[:, j]
+    pair, b = np.nonzero(x**2 + y**2 <= (2 * DLO_RADIUS + SEGMENT_LENGTH) ** 2)  # the others cannot touch
     p, q = (np.stack([shapes[b, k[pair]] - half[b, k[pair]], shapes[b, k[pair]] + half[b, k[pair]]]) for k in (i, j))
     ways = [_to_line(p[0], *q), _to_line(p[1], *q), _to_line(q[0], *p), _to_line(q[1], *p)]
     nearest = np.full(len(shapes), np.inf)
