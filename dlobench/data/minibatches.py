@@ -165,9 +165,11 @@ class Minibatches:
         first = windows + windows // self.starts * self.horizon  # a trajectory has `horizon` more states than windows
         rows.take(first, axis=0, out=before, mode="clip")
         rows.take(first + self.horizon, axis=0, out=after, mode="clip")
-        last = first[:, None] * (WIDTH // 2) + (WIDTH // 2 - 1)  # the executed displacement is the last pair of a row
-        steps = np.arange(self.horizon) * (WIDTH // 2)
-        rows.view(np.complex64).reshape(-1).take(last + steps, out=pairs, mode="clip")
+        if self.horizon == 1:  # the executed displacement is the last pair of a row
+            pairs[:, 0] = before.view(np.complex64)[:, -1]
+        else:
+            steps = (first[:, None] + np.arange(self.horizon)) * (WIDTH // 2) + (WIDTH // 2 - 1)
+            rows.view(np.complex64).reshape(-1).take(steps, out=pairs, mode="clip")
 
 
 def _pusher(state: Any) -> Any:

@@ -1,7 +1,7 @@
 """Measures reading beside its peers: random minibatches of windows out of 10^6 pushes, all sides turn by turn.
 
 Run with `make bench-data`. Every side hands out the same three arrays, from the same random rows, which the cache of
-the system holds: a state (64, 107), the next 4 displacements (64, 4, 2), the state after them (64, 107). Each runs on
+the system holds: a state (64, 107), the next n displacements (64, n, 2), the state after them (64, 107). Each runs on
 one thread, but for the worker processes of torch's `DataLoader`. Nothing is asserted about time: machines differ. Where
 benchmarks are disabled, all sides run once on little. What is flat in memory is asserted.
 """
@@ -32,9 +32,8 @@ from dlobench.data.store import WIDTH, Rows
 Window = tuple[Any, Any, Any]  # state, actions, after
 Side = Callable[[], Window]  # hands out the next minibatch
 
-BATCH, HORIZON, PUSHES = 64, 4, 20
+BATCH, PUSHES = 64, 20
 TRAJECTORIES = 50_000
-MINIBATCH_BYTES = BATCH * (2 * STATE + 2 * HORIZON) * 4
 TESTS = Path(__file__).parents[1]
 BOUND = 8_000_000  # bytes; the rows of 10^6 pushes take 479 MB
 OURS = "Minibatches.epoch"
@@ -67,32 +66,34 @@ def rows(small: bool, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rows
 class Windows(Dataset[Window]):
     """Gives one window, as a reader of torch's tutorial would write it; tensors, since arrays were slower."""
 
-    def __init__(self, rows: Rows) -> None:
-        self.rows, self.starts = torch.from_numpy(rows), PUSHES - HORIZON + 1
+    def __init__(self, rows: Rows, horizon: int) -> None:
+        self.rows, self.horizon, self.starts = torch.from_numpy(rows), horizon, PUSHES - horizon + 1
 
     def __len__(self) -> int:
         return len(self.rows) * self.starts
 
     def __getitem__(self, index: int) -> Window:
         trajectory, start = divmod(index, self.starts)
-        one = self.rows[trajectory]
-        return one[start, :STATE], one[start : start + HORIZON, -2:], one[start + HORIZON, :STATE]
+        one, end = self.rows[trajectory], start + self.horizon
+        return one[start, :STATE], one[start:end, -2:], one[end, :STATE]
 
 
-def loader(rows: Rows, workers: int) -> Side:
+def loader(rows: Rows, horizon: int, workers: int) -> Side:
     """Returns torch's loader, whose workers are kept and read ahead."""
     options: dict[str, Any] = {"persistent_workers": True, "prefetch_factor": 8} if workers else {}
-    made = DataLoader(Windows(rows), batch_size=BATCH, shuffle=True, num_workers=workers, drop_last=True, **options)
+    made = DataLoader(
+        Windows(rows, horizon), batch_size=BATCH, shuffle=True, num_workers=workers, drop_last=True, **options
+    )
     endless = itertools.chain.from_iterable(itertools.repeat(made))
     return lambda: tuple(next(endless))
 
 
-def replay(rows: Rows, storage: Any, **options: Any) -> Side:
+def replay(rows: Rows, n: int, storage: Any, **options: Any) -> Side:
     """Returns torchrl's buffer, in which windows lie side by side: it copies three rows a window and searches none."""
     tensors = torch.from_numpy(rows)
-    starts = PUSHES - HORIZON + 1
-    actions = tensors[..., -2:].unfold(1, HORIZON, 1)[:, :starts].transpose(2, 3)
-    parts = {"state": tensors[:, :starts, :STATE], "actions": actions, "after": tensors[:, HORIZON:, :STATE]}
+    starts = PUSHES - n + 1
+    actions = tensors[..., -2:].unfold(1, n, 1)[:, :starts].transpose(2, 3)
+    parts = {"state": tensors[:, :starts, :STATE], "actions": actions, "after": tensors[:, n:, :STATE]}
     flat = {name: part.reshape(-1, *part.shape[2:]) for name, part in parts.items()}
     buffer = ReplayBuffer(storage=storage(TensorDict(flat, [len(rows) * starts])), batch_size=BATCH, **options)
 
@@ -137,15 +138,15 @@ def drawn(batches: Minibatches) -> Side:
     return draw
 
 
-def check(side: Side, rows: Rows) -> None:
+def check(side: Side, rows: Rows, n: int) -> None:
     """Sees that a side hands out windows."""
     state, actions, after = (np.asarray(each) for each in side())
     first = state[:, 0].astype(int)
     flat = rows.reshape(-1, WIDTH)
     np.testing.assert_array_equal(state, flat[first, :STATE])
-    np.testing.assert_array_equal(after, flat[first + HORIZON, :STATE])
-    np.testing.assert_array_equal(actions, flat[first[:, None] + np.arange(HORIZON), -2:])
-    assert (first % (PUSHES + 1) <= PUSHES - HORIZON).all() and len({*first.tolist()}) > BATCH / 2
+    np.testing.assert_array_equal(after, flat[first + n, :STATE])
+    np.testing.assert_array_equal(actions, flat[first[:, None] + np.arange(n), -2:])
+    assert (first % (PUSHES + 1) <= PUSHES - n).all() and len({*first.tolist()}) > BATCH / 2
 
 
 def memcpy(megabytes: int) -> Side:
@@ -159,28 +160,30 @@ def memcpy(megabytes: int) -> Side:
     return copy
 
 
+@pytest.mark.parametrize("n", [1, 4])
 def test_minibatches_beside_their_peers(
-    benchmark: Any, small: bool, tables: Tables, rows: Rows, tmp_path: Path
+    benchmark: Any, small: bool, tables: Tables, rows: Rows, tmp_path: Path, n: int
 ) -> None:
-    batches = Minibatches({0: rows}, horizon=HORIZON)
+    batches = Minibatches({0: rows}, horizon=n)
     parts = np.split(rows, 50)
-    several = Minibatches(dict(enumerate(parts)), horizon=HORIZON)
+    several = Minibatches(dict(enumerate(parts)), horizon=n)
     sides: dict[str, tuple[Side, int]] = {  # and how many minibatches a turn
         OURS: (epochs(batches), 4000),
         "Minibatches.epoch, torch": (epochs(batches, tensors=True), 4000),
         "Minibatches.epoch, 50 domains": (epochs(several), 4000),
         "Minibatches.draw": (drawn(batches), 2000),
-        "torch DataLoader, no workers": (loader(rows, 0), 100),
-        "torch DataLoader, 2 workers": (loader(rows, 2), 100),
-        "torchrl ReplayBuffer, in memory": (replay(rows, TensorStorage), 1000),
-        "torchrl ReplayBuffer, memory-mapped": (replay(rows, mapped(tmp_path / "replay")), 1000),
+        "torch DataLoader, no workers": (loader(rows, n, 0), 100),
+        "torch DataLoader, 2 workers": (loader(rows, n, 2), 100),
+        "torchrl ReplayBuffer, in memory": (replay(rows, n, TensorStorage), 1000),
+        "torchrl ReplayBuffer, memory-mapped": (replay(rows, n, mapped(tmp_path / "replay")), 1000),
         "torchrl ReplayBuffer, without replacement": (
-            replay(rows, TensorStorage, sampler=SamplerWithoutReplacement()),
+            replay(rows, n, TensorStorage, sampler=SamplerWithoutReplacement()),
             1000,
         ),
     }
     for side, _ in sides.values():
-        check(side, rows)
+        check(side, rows, n)
+    minibatch = BATCH * (2 * STATE + 2 * n) * 4  # bytes
     copy, size = memcpy(1 if small else 256), (1 if small else 256) * 1e6
     copy()
     taken: dict[str, list[float]] = {name: [] for name in (*sides, "memcpy")}
@@ -193,19 +196,19 @@ def test_minibatches_beside_their_peers(
             taken[name].append((time.perf_counter() - begin) / (2 if small else number))
         begin = time.perf_counter()
         copy()
-        taken["memcpy"].append((time.perf_counter() - begin) * MINIBATCH_BYTES / size)
+        taken["memcpy"].append((time.perf_counter() - begin) * minibatch / size)
 
-    benchmark.pedantic(turn, rounds=1 if small else 9)
+    benchmark.pedantic(turn, rounds=1 if small else 7)
     if small:
         return
     times = {name: statistics.median(each) for name, each in taken.items()}
-    title = f"minibatches of {BATCH} windows of {HORIZON} pushes out of {len(rows) * PUSHES:,} pushes, medians"
+    title = f"minibatches of {BATCH} windows, n = {n}, out of {len(rows) * PUSHES:,} pushes, medians"
     tables[title] = [
-        f"{name:44}{1e6 * each:9.1f} µs{MINIBATCH_BYTES / each / 1e9:8.2f} GB/s   {OURS} is {each / times[OURS]:.2f} ×"
+        f"{name:44}{1e6 * each:9.1f} µs{minibatch / each / 1e9:8.2f} GB/s   {OURS} is {each / times[OURS]:.2f} ×"
         for name, each in times.items()
     ]
     benchmark.extra_info |= {
-        "bytes": MINIBATCH_BYTES,
+        "bytes": minibatch,
         "microseconds": {name: 1e6 * each for name, each in times.items()},
     }
 
