@@ -36,7 +36,7 @@ bench: $(VENV)/installed  ## Benchmarks, with their ratios
 	$(BIN)/pytest tests/benchmarks --benchmark-enable --benchmark-sort=name
 
 bench-data: $(VENV)/installed  ## Generation, verification, reading and executors beside their peers
-	$(BIN)/pytest tests/benchmarks/test_generation.py tests/benchmarks/test_data.py tests/benchmarks/test_executors.py \
+	$(BIN)/pytest tests/benchmarks/test_generation.py tests/benchmarks/test_data.py tests/benchmarks/test_workers.py \
 		--benchmark-enable --benchmark-sort=name
 
 bench-world: $(VENV)/installed  ## The world beside MuJoCo's rod, ball joints and its own environment (3 minutes)
