@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from test_faults import arrays, inline, quiet, tiny, units
-from test_store import files, write
+from test_store import fake, files, write
 
+from dlobench.data.domain_set import Unit
 from dlobench.data.executors import find_executor
 from dlobench.data.generate import generate, make_unit
 from dlobench.data.store import Broken, Store
 from dlobench.data.verify import PIECE, repair, verify
+from dlobench.world.simulate import Account
 
 OF = tiny(8)
 UNITS = units(OF)
@@ -151,3 +155,32 @@ def test_whoever_comes_first_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     first = store.load(OF, unit)
     store.discard(OF, unit)
     assert (first.dlo == write(store, OF, unit).dlo).all()
+
+
+def test_two_generators_share_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whenever one simulates a shard, the other makes one at the same time; neither knows of the other."""
+    from dlobench.data import generate as module
+
+    store, made, busy = Store(tmp_path), list[Unit](), list[bool]()
+    walk = fake(OF.domain(0), 1, pushes=OF.pushes)
+    other: Iterator[object] = iter(())
+
+    def simulate(of: object, unit: Unit) -> object:
+        made.append(unit)
+        if not busy:
+            busy.append(True)
+            next(other, None)
+            busy.clear()
+        return walk, Account(0, 0, 0)
+
+    def step(function: Callable[[Any], Any], work: Iterable[Any]) -> Iterator[Any]:
+        nonlocal other
+        other = map(function, work)
+        return iter(())
+
+    monkeypatch.setattr(module, "simulate_unit", simulate)
+    of = tiny(64)
+    generate(store, of, units(of), step, quiet)
+    generate(store, of, units(of), inline, quiet)
+    assert set(made) == set(units(of))
+    assert len(made) < 1.25 * len(units(of)), "twice as many, did both go the same way"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -51,10 +52,13 @@ def make_unit(unit: Unit, store: Store, of: DomainSet, *, again: bool = False) -
 def generate(
     store: Store, of: DomainSet, units: Sequence[Unit], executor: Executor, progress: Progress, *, again: bool = False
 ) -> None:
-    """Makes units of a set wherever the executor runs them. The first that fails ends it; what is done stays."""
+    """Makes units of a set wherever the executor runs them. The first that fails ends it; what is done stays.
+
+    In any order, so that two who generate into one folder do not keep each other's pace.
+    """
     total = sum(unit.count for unit in units) * of.pushes
     done = 0
     progress(done, total)
-    for unit in executor(partial(make_unit, store=store, of=of, again=again), units):
+    for unit in executor(partial(make_unit, store=store, of=of, again=again), random.sample(units, len(units))):
         done += unit.count * of.pushes
         progress(done, total)
