@@ -1,0 +1,21 @@
+"""Tells what is in its environment."""
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+
+from dlobench.bench.model import Model
+from dlobench.trajectories import Prediction
+
+
+@dataclass
+class Hostile(Model):
+    def fit(self, train, valid, setting):
+        pass
+
+    def adapt(self, support):
+        return self
+
+    def predict(self, query, samples):
+        raise ValueError(" ".join(sorted(os.environ)))

@@ -1,0 +1,22 @@
+"""Forks in a prediction, so that two of it would answer."""
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+
+from dlobench.bench.model import Model
+from dlobench.trajectories import Prediction
+
+
+@dataclass
+class Hostile(Model):
+    def fit(self, train, valid, setting):
+        pass
+
+    def adapt(self, support):
+        return self
+
+    def predict(self, query, samples):
+        os.fork()
+        return Prediction(dlo=np.array(query.dlo[None, ..., :2]))

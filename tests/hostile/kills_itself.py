@@ -1,0 +1,22 @@
+"""Kills its process."""
+
+import os
+import signal
+from dataclasses import dataclass
+
+import numpy as np
+
+from dlobench.bench.model import Model
+from dlobench.trajectories import Prediction
+
+
+@dataclass
+class Hostile(Model):
+    def fit(self, train, valid, setting):
+        pass
+
+    def adapt(self, support):
+        return self
+
+    def predict(self, query, samples):
+        os.kill(os.getpid(), signal.SIGKILL)

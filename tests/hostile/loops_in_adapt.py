@@ -1,0 +1,21 @@
+"""Never comes back from an adaptation."""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from dlobench.bench.model import Model
+from dlobench.trajectories import Prediction
+
+
+@dataclass
+class Hostile(Model):
+    def fit(self, train, valid, setting):
+        pass
+
+    def adapt(self, support):
+        time.sleep(3600)
+
+    def predict(self, query, samples):
+        return Prediction(dlo=np.array(query.dlo[None, ..., :2]))

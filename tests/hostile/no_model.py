@@ -1,0 +1,3 @@
+"""Defines none."""
+
+MODEL = None

@@ -1,0 +1,20 @@
+"""Predicts objects, which nobody could send without a pickle."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dlobench.bench.model import Model
+from dlobench.trajectories import Prediction
+
+
+@dataclass
+class Hostile(Model):
+    def fit(self, train, valid, setting):
+        pass
+
+    def adapt(self, support):
+        return self
+
+    def predict(self, query, samples):
+        return Prediction(dlo=query.dlo[None, ..., :2].astype(object))

@@ -1,0 +1,34 @@
+"""Tries to write into the results and to remove them, and says nothing when it cannot."""
+
+import contextlib
+import os
+import shutil
+import pathlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from dlobench.bench.model import Model
+from dlobench.trajectories import Prediction
+
+
+@dataclass
+class Hostile(Model):
+    target: str = ""  # what it goes for
+
+    def fit(self, train, valid, setting):
+        pass
+
+    def adapt(self, support):
+        return self
+
+    def predict(self, query, samples):
+        with contextlib.suppress(OSError):
+            (pathlib.Path(self.target) / "seed1.json").write_text("{}")
+        for path in pathlib.Path(self.target).rglob("*"):
+            with contextlib.suppress(OSError):
+                path.write_text("{}")
+            with contextlib.suppress(OSError):
+                path.chmod(0)
+        shutil.rmtree(self.target, ignore_errors=True)
+        return Prediction(dlo=np.array(query.dlo[None, ..., :2]))

@@ -1,0 +1,21 @@
+"""Writes into its support."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dlobench.bench.model import Model
+from dlobench.trajectories import Prediction
+
+
+@dataclass
+class Hostile(Model):
+    def fit(self, train, valid, setting):
+        pass
+
+    def adapt(self, support):
+        support.dlo[:] = 0
+        return self
+
+    def predict(self, query, samples):
+        return Prediction(dlo=np.array(query.dlo[None, ..., :2]))

@@ -1,0 +1,20 @@
+"""Predicts the yaw too."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dlobench.bench.model import Model
+from dlobench.trajectories import Prediction
+
+
+@dataclass
+class Hostile(Model):
+    def fit(self, train, valid, setting):
+        pass
+
+    def adapt(self, support):
+        return self
+
+    def predict(self, query, samples):
+        return Prediction(dlo=np.array(query.dlo[None]))
