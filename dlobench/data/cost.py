@@ -66,8 +66,8 @@ def cost_of(unit: Unit, store: Store) -> Cost:
     """
     of = find(unit.set_name)
     few, many = (1, 4) if of.executions == 1 else (2 * SEQUENCES, 6 * SEQUENCES)
-    _, core_few, wall_few = _timed(lambda: _beginning(of, unit, few))
-    (trajectories, account), core_many, wall_many = _timed(lambda: _beginning(of, unit, many))
+    _, core_few, wall_few = _timed(lambda: beginning(of, unit, few))
+    (trajectories, account), core_many, wall_many = _timed(lambda: beginning(of, unit, many))
     beginning = replace(unit, count=many)
     _, core_written, wall_written = _timed(lambda: store.write(of, beginning, trajectories, asdict(account), core_many))
     more = (unit.count - few) / (many - few)
@@ -78,7 +78,7 @@ def cost_of(unit: Unit, store: Store) -> Cost:
     )
 
 
-def _beginning(of: DomainSet, unit: Unit, count: int) -> tuple[Trajectories, Account]:
+def beginning(of: DomainSet, unit: Unit, count: int) -> tuple[Trajectories, Account]:
     """Simulates what a shard of so many trajectories would hold."""
     executions = 1 if of.executions == 1 else count // SEQUENCES
     return simulate_unit(replace(of, executions=executions), replace(unit, count=count))
