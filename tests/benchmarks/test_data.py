@@ -80,10 +80,9 @@ class Windows(Dataset[Window]):
 
 def loader(rows: Rows, horizon: int, workers: int) -> Side:
     """Returns torch's loader, whose workers are kept and read ahead."""
-    options: dict[str, Any] = {"persistent_workers": True, "prefetch_factor": 8} if workers else {}
-    made = DataLoader(
-        Windows(rows, horizon), batch_size=BATCH, shuffle=True, num_workers=workers, drop_last=True, **options
-    )
+    kept = {"persistent_workers": True, "prefetch_factor": 8, "multiprocessing_context": "fork"}  # share the rows
+    options: dict[str, Any] = {"shuffle": True, "drop_last": True, "num_workers": workers, **(kept if workers else {})}
+    made = DataLoader(Windows(rows, horizon), BATCH, **options)
     endless = itertools.chain.from_iterable(itertools.repeat(made))
     return lambda: tuple(next(endless))
 
@@ -160,6 +159,7 @@ def memcpy(megabytes: int) -> Side:
     return copy
 
 
+@pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")  # of Python 3.12, where there are threads
 @pytest.mark.parametrize("n", [1, 4])
 def test_minibatches_beside_their_peers(
     benchmark: Any, small: bool, tables: Tables, rows: Rows, tmp_path: Path, n: int
