@@ -131,7 +131,7 @@ class Store:
         path = self.path(of, unit)
         try:
             found = unseal(path.with_suffix(".json").read_bytes())
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             return None
         except OSError as error:
             raise Broken(path, f"unreadable sidecar: {error.strerror}") from error

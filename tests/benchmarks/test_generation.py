@@ -40,10 +40,16 @@ def small(request: pytest.FixtureRequest) -> bool:
 
 
 @pytest.fixture
-def tell(request: pytest.FixtureRequest, small: bool) -> Tell:
+def tell(request: pytest.FixtureRequest, small: bool, capsys: pytest.CaptureFixture[str]) -> Tell:
     """Returns what tells a result at once, where benchmarks are enabled."""
     terminal: Any = request.config.pluginmanager.get_plugin("terminalreporter")
-    return (lambda text: None) if small else (lambda text: terminal.write_line(f"\n{text}"))
+
+    def tell(text: str) -> None:
+        if not small:
+            with capsys.disabled():
+                terminal.write_line(f"\n{text}")
+
+    return tell
 
 
 @dataclass
