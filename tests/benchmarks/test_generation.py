@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rates import Tables
 from test_faults import tiny, units
 from test_store import write
 
@@ -40,16 +41,9 @@ def small(request: pytest.FixtureRequest) -> bool:
 
 
 @pytest.fixture
-def tell(request: pytest.FixtureRequest, small: bool, capsys: pytest.CaptureFixture[str]) -> Tell:
-    """Returns what tells a result at once, where benchmarks are enabled."""
-    terminal: Any = request.config.pluginmanager.get_plugin("terminalreporter")
-
-    def tell(text: str) -> None:
-        if not small:
-            with capsys.disabled():
-                terminal.write_line(f"\n{text}")
-
-    return tell
+def tell(small: bool, tables: Tables) -> Tell:
+    """Returns what adds a line to the table at the end, where benchmarks are enabled."""
+    return lambda text: None if small else tables.setdefault("generation and verification", []).append(text)
 
 
 @dataclass
@@ -132,6 +126,7 @@ MEMORY = f"""
 import resource, sys
 from pathlib import Path
 sys.path.append({str(TESTS)!r})
+from rates import Tables
 from test_faults import inline, quiet
 from test_store import fake
 from dlobench.data import generate as module
