@@ -105,7 +105,7 @@ def test_exported_trajectories_are_loaded_from_the_card(tmp_path: Path) -> None:
 
 
 def test_a_card_of_many_domains_is_valid(tmp_path: Path) -> None:
-    card.write(Store(tmp_path), META, "paper", tmp_path / "card")
+    card.write(Store(tmp_path), META, "small", tmp_path / "card")
     dataset = loaded(tmp_path / "card")
     assert [each.id for each in dataset.metadata.record_sets] == ["domains", "shards"]
     described = json.loads((tmp_path / "card" / "croissant.json").read_text())

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from dlobench.data import croissant, parquet, table
 from dlobench.data.card_text import CITATION, LICENSE, SUMMARY, text
 from dlobench.data.domain_set import DomainSet, ScaleName, Span
+from dlobench.data.inventory import listed
 from dlobench.data.store import Store, atomic_write
 from dlobench.errors import UsageError
 
@@ -143,13 +144,15 @@ def _shards(store: Store, of: DomainSet, spans: Sequence[Span], progress: Progre
     versions, cpus, done = set[str](), set[str](), 0
     total = sum(1 for _ in of.units(spans))
     for span in sorted(spans, key=lambda span: (span.domain, span.first)):
-        for unit in of.units([span]):
-            progress(done := done + 1, total)
-            sidecar = store.sidecar(of, unit)
+        units = list(of.units([span]))
+        here = set(listed(store.path(of, units[0]).parent))  # most may be still to be made
+        progress(done := done + len(units), total)
+        for unit in units:
+            path = store.path(of, unit)
+            sidecar = store.sidecar(of, unit) if path.with_suffix(".json").name in here else None
             if sidecar is None:
                 continue
-            path = store.path(of, unit).relative_to(store.root / of.key).as_posix()
-            place = (path, unit.domain, span.part, unit.first, unit.count)
+            place = (path.relative_to(store.root / of.key).as_posix(), unit.domain, span.part, unit.first, unit.count)
             about = (sidecar["bytes"], sidecar["sha256"], float(sidecar["seconds"]))
             for column, value in zip(columns.values(), (*place, *about), strict=True):
                 column.append(value)
