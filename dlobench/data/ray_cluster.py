@@ -46,9 +46,8 @@ def run(
 
     What is lost with a node is done again elsewhere; what the function itself raises ends everything at once.
     """
-    import ray
-
     with _connected(workers, address):
+        import ray
 
         def call(piece: Work) -> Result:
             return function(piece)
@@ -100,7 +99,8 @@ def _connected(workers: int, address: str | None) -> Iterator[None]:
         )
     except Exception as error:  # RuntimeError for another version, ConnectionError, ValueError and more
         reason = " ".join(str(error).split())
-        raise RunError(f"cannot use the Ray cluster at {address or 'this machine'}: {reason}") from error
+        token = "; one that was started with a token needs RAY_AUTH_MODE=token here, too" if address else ""
+        raise RunError(f"cannot use the Ray cluster at {address or 'this machine'}: {reason}{token}") from error
     try:
         yield
     finally:
