@@ -49,7 +49,8 @@ class Sandbox:
         self.protection: tuple[str, ...] = ()  # what is in force, once a plugin is loaded
         self._process: subprocess.Popen[bytes] | None = None
         self.generation = 0  # how many processes there were
-        self._path, self._dropped, self._asked, self._printed = Path(), list[int](), 0, bytearray()
+        self._path, self._dropped, self._printed = Path(), list[int](), bytearray()
+        self._asked, self._next_look = 0, 0.0
 
     def __enter__(self) -> Sandbox:
         return self
@@ -164,7 +165,7 @@ class Sandbox:
         most: int,
         log: Callable[[int, int, dict[str, float]], None] | None,
     ) -> tuple[dict[str, Any], Arrays]:
-        self._until, self._seconds, self._next_look = time.monotonic() + seconds, seconds, 0.0
+        self._until, self._seconds = time.monotonic() + seconds, seconds
         self._asked, self._printed = self._asked + 1, bytearray()
         try:
             try:

@@ -1,7 +1,6 @@
 """Tries to write into the results and to remove them, and says nothing when it cannot."""
 
 import contextlib
-import os
 import shutil
 import pathlib
 from dataclasses import dataclass
@@ -23,12 +22,12 @@ class Hostile(Model):
         return self
 
     def predict(self, query, samples):
-        with contextlib.suppress(OSError):
-            (pathlib.Path(self.target) / "seed1.json").write_text("{}")
-        for path in pathlib.Path(self.target).rglob("*"):
+        for path in [pathlib.Path(self.target) / name for name in ("seed0.json", "seed1.json")]:
             with contextlib.suppress(OSError):
                 path.write_text("{}")
             with contextlib.suppress(OSError):
                 path.chmod(0)
+            with contextlib.suppress(OSError):
+                path.unlink()
         shutil.rmtree(self.target, ignore_errors=True)
         return Prediction(dlo=np.array(query.dlo[None, ..., :2]))
