@@ -17,7 +17,8 @@ from dlobench.errors import UsageError
 Numbers = NDArray[np.intp]
 
 STATE = COLUMNS["pusher"] + COLUMNS["dlo"] + COLUMNS["bodies"]  # 107, the columns of a state; they come first
-CHUNK = 512  # windows that are gathered at once and handed out in minibatches; half a megabyte, which a cache holds
+CHUNK = 512  # windows of each domain that are gathered at once and handed out in minibatches; a cache holds them
+MOST = 16_384  # windows of all domains that are; 15 MB
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,8 @@ class Minibatches:
         Each of `starts` passes takes another window of every trajectory, in a new random order: neighbours in a
         minibatch are of different trajectories, and what is kept in memory does not grow with the windows.
         """
-        length = max(CHUNK // ranges.whole("size", size, 1), 1) * size
+        most = min(CHUNK * len(self._flat), MOST)
+        length = max(most // ranges.whole("size", size, 1), 1) * size
         for windows in self._chunks(length, rng):
             chunk = self._gather(windows)
             for first in range(0, len(windows), size):
@@ -145,12 +147,14 @@ class Minibatches:
             return before, pairs, after, np.full(B, self._domains[0])
         source = np.searchsorted(self._first, windows, "right") - 1
         order, counts = np.argsort(source, kind="stable"), np.bincount(source, minlength=len(self._flat))
-        ends, later = np.cumsum(counts), windows[order]
+        ends, later, place = np.cumsum(counts), windows[order], np.empty(B, np.intp)
+        place[order] = np.arange(B)
         grouped, held = np.empty((2, B, WIDTH), np.float32), np.empty_like(pairs)
         for number in np.flatnonzero(counts).tolist():
             part = slice(ends[number] - counts[number], ends[number])
             self._copy(number, later[part] - self._first[number], grouped[0, part], held[part], grouped[1, part])
-        before[order], after[order], pairs[order] = grouped[0], grouped[1], held
+        for copied, wanted in ((grouped[0], before), (held, pairs), (grouped[1], after)):
+            copied.take(place, axis=0, out=wanted, mode="clip")
         return before, pairs, after, self._domains[source]
 
     def _gather(self, windows: Numbers) -> Minibatch:
