@@ -68,13 +68,13 @@ def cost_of(unit: Unit, store: Store) -> Cost:
     few, many = (1, 4) if of.executions == 1 else (2 * SEQUENCES, 6 * SEQUENCES)
     _, core_few, wall_few = _timed(lambda: beginning(of, unit, few))
     (trajectories, account), core_many, wall_many = _timed(lambda: beginning(of, unit, many))
-    beginning = replace(unit, count=many)
-    _, core_written, wall_written = _timed(lambda: store.write(of, beginning, trajectories, asdict(account), core_many))
+    written = replace(unit, count=many)
+    _, core_written, wall_written = _timed(lambda: store.write(of, written, trajectories, asdict(account), core_many))
     more = (unit.count - few) / (many - few)
     return Cost(
         core_seconds=core_few + more * (core_many - core_few) + core_written,
         wall_seconds=wall_few + more * (wall_many - wall_few) + wall_written,
-        sidecar=store.path(of, beginning).with_suffix(".json").stat().st_size,
+        sidecar=store.path(of, written).with_suffix(".json").stat().st_size,
     )
 
 
