@@ -178,6 +178,9 @@ def test_of_true_samples_the_mean_displacement_decides() -> None:
     assert moving(start, np.stack([true, true]), mask).tolist() == moving(start, true, mask).tolist()
     far = start + np.float32(1)
     assert moving(start, np.stack([start, far, start]), mask).all()
+    near = start + np.float32(0.0014)  # by 2 mm
+    assert not moving(start, np.stack([start, near, start]), mask).any()
+    assert moving(start, np.stack([near, near, start]), mask).all()
 
 
 def test_errors_where_windows_move_are_those_of_these_windows() -> None:

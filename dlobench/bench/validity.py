@@ -30,7 +30,7 @@ def self_overlap(dlo: Floats, mask: Mask) -> float:
 
 
 def overlapping(dlo: Floats, mask: Mask) -> Mask:
-    """Tells in which windows (B,) two segments that are no neighbours are nearer than a DLO's diameter, or cross.
+    """Tells in which windows (B,) two segments that are no neighbours are nearer than a DLO's diameter.
 
     As "dlo-dlo" of `dlobench.world.overlaps` defines it: a segment is a line of 5 mm with a radius, and its neighbours
     are up to three segments away. Its direction is not predicted, and is that from the segment before to the one after.
@@ -41,7 +41,11 @@ def overlapping(dlo: Floats, mask: Mask) -> Mask:
 
 
 def _nearest(shapes: Array) -> Array:
-    """Returns the least distance between centre lines of segments that are no neighbours, (B,) m; ∞ for far ones."""
+    """Returns the least distance of ends of segments to centre lines of others, no neighbours, (B,) m; ∞ for far ones.
+
+    Lines that do not cross are nearest at an end; those that do have one within half their length, which is less than
+    a diameter.
+    """
     along = np.gradient(shapes, axis=1)
     length = np.sqrt((along**2).sum(axis=-1, keepdims=True))
     half = SEGMENT_LENGTH / 2 * np.divide(along, length, out=np.zeros_like(along), where=length > 0)
@@ -52,7 +56,7 @@ def _nearest(shapes: Array) -> Array:
     p, q = (np.stack([shapes[b, k[pair]] - half[b, k[pair]], shapes[b, k[pair]] + half[b, k[pair]]]) for k in (i, j))
     ways = [_to_line(p[0], *q), _to_line(p[1], *q), _to_line(q[0], *p), _to_line(q[1], *p)]
     nearest = np.full(len(shapes), np.inf)
-    np.minimum.at(nearest, b, np.where(_cross(p, q), 0, np.min(ways, axis=0)))
+    np.minimum.at(nearest, b, np.min(ways, axis=0))
     return nearest
 
 
@@ -64,19 +68,6 @@ def _to_line(point: Array, a: Array, b: Array) -> Array:
     away = point - a - np.clip(along, 0, 1)[..., None] * step
     distance: Array = np.sqrt((away**2).sum(axis=-1))
     return distance
-
-
-def _cross(p: Array, q: Array) -> Mask:
-    """Tells whether lines cross, given by their ends (2, …, 2)."""
-
-    def side(a: Array, b: Array, point: Array) -> Array:
-        step, to = b - a, point - a
-        out: Array = step[..., 0] * to[..., 1] - step[..., 1] * to[..., 0]
-        return out
-
-    across = side(p[0], p[1], q[0]) * side(p[0], p[1], q[1]) < 0
-    crossed: Mask = across & (side(q[0], q[1], p[0]) * side(q[0], q[1], p[1]) < 0)
-    return crossed
 
 
 def _shapes(dlo: Floats, mask: Mask) -> Array:
