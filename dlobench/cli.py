@@ -113,7 +113,7 @@ def run(
             seed=seed,
             settings=sandbox.parse_settings(settings or []),
             budget=Budget(steps=max_steps, minutes=max_minutes),
-            device=resolve_device(device, threads),
+            device=resolve_device(device),
         )
         if out.exists() and not out.is_dir():
             raise UsageError(f"--out {out} is not a folder")

@@ -15,6 +15,8 @@ from dlobench.data.domain_set import DomainSet, Part, ScaleName, Span
 from dlobench.errors import UsageError
 from dlobench.nn.budget import Budget
 
+_ACCELERATORS = ("/dev/nvidiactl", "/dev/nvidia0", "/dev/nvhost-gpu", "/dev/dxg", "/dev/kfd")  # Linux, Jetson, WSL, ROCm
+
 
 @dataclass(frozen=True)
 class Order:
@@ -74,17 +76,18 @@ def recordable(hyper: Mapping[str, Any]) -> dict[str, Any]:
     return out
 
 
-def resolve_device(device: str, threads: int = 1) -> str:
-    """Returns "cpu" or "cuda" and sets torch's threads.
+def resolve_device(device: str) -> str:
+    """Returns "cpu" or "cuda"; raises `UsageError` for another name or a CUDA device that is not there.
 
-    Raises `UsageError` for another name or a CUDA device that is not there.
+    Asks torch only where a device may be: to import it here takes longer than many a fit.
     """
-    import torch
-
-    torch.set_num_threads(threads)  # idle threads spin, which costs a shared machine a multiple of the time
-
     if device not in ("auto", "cpu", "cuda"):
         raise UsageError(f"unknown device {device!r}; there are: auto, cpu, cuda")
-    if device == "cuda" and not torch.cuda.is_available():
+    there = False
+    if device != "cpu" and any(Path(node).exists() for node in _ACCELERATORS):
+        import torch
+
+        there = torch.cuda.is_available()
+    if device == "cuda" and not there:
         raise UsageError("--device cuda: there is no CUDA device here; cpu and auto are to be had")
-    return "cuda" if device != "cpu" and torch.cuda.is_available() else "cpu"
+    return "cuda" if there else "cpu"
