@@ -28,7 +28,7 @@ _SETTINGS = [
     "ld.so.cache", "ld.so.conf", "ld.so.conf.d", "localtime", "passwd", "group", "nsswitch.conf", "hosts",
     "resolv.conf", "ssl", "fonts", "mime.types", "alternatives", "OpenCL", "vulkan",
 ]  # fmt: skip
-_DEVICES = ["/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom", "/dev/kfd", "/dev/dri"]
+_DEVICES = ["/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/urandom", "/dev/kfd", "/dev/dri", "/dev/dxg"]
 
 
 def confine(*, hidden: Sequence[Path], needed: Sequence[Path], folder: Path, memory: int, tasks: int) -> list[str]:
@@ -57,7 +57,7 @@ def confine(*, hidden: Sequence[Path], needed: Sequence[Path], folder: Path, mem
     if bound := _bound(tasks, root=root, private=private):
         force.append(f"at most {bound} tasks")
     with contextlib.suppress(OSError):
-        devices = [*map(Path, _DEVICES), *sorted(Path("/dev").glob("nvidia*"))]
+        devices = [*map(Path, _DEVICES), *sorted(Path("/dev").glob("nv[ihm]*"))]
         system = [*map(Path, _SYSTEM), *(Path("/etc", name) for name in _SETTINGS)]
         allowed = [part for path in (*system, *wanted) for part in without(path, hidden)]
         shared = [Path("/dev/shm")] if private else []  # noqa: S108  ours alone by then

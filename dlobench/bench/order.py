@@ -15,7 +15,8 @@ from dlobench.data.domain_set import DomainSet, Part, ScaleName, Span
 from dlobench.errors import UsageError
 from dlobench.nn.budget import Budget
 
-_ACCELERATORS = ("/dev/nvidiactl", "/dev/nvidia0", "/dev/nvhost-gpu", "/dev/dxg", "/dev/kfd")  # Linux, Jetson, WSL, ROCm
+# of Linux, Jetson, WSL and ROCm
+_ACCELERATORS = ("/dev/nvidiactl", "/dev/nvidia0", "/dev/nvhost-gpu", "/dev/dxg", "/dev/kfd")
 
 
 @dataclass(frozen=True)
