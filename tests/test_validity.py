@@ -14,6 +14,7 @@ from dlobench.domain import DLO_RADIUS, SEGMENT_LENGTH
 from dlobench.errors import UsageError
 from dlobench.trajectories import Floats, Mask
 from dlobench.world import chain, overlaps
+from dlobench.world.simulate import PENETRATION
 
 Array = NDArray[np.float64]
 
@@ -100,6 +101,17 @@ def test_overlap_is_that_of_the_world_without_its_yaw() -> None:
     assert 0.2 < found.mean() < 0.8
     assert found[depth > 5e-4].all()  # m, what the direction of segments may be wrong by
     assert (found == (depth > 0)).mean() > 0.99
+
+
+def test_what_the_world_allows_is_no_overlap_by_a_millimetre() -> None:
+    dlo, every = chains(np.random.default_rng(0), 2000), np.ones(32, bool)
+    none, far = np.zeros((2000, 0, 3)), np.full((2000, 2), 9.0)
+    poses = overlaps.Poses(dlo, pusher=far, bodies=none, cylinder=None)
+    touching = overlaps.depths(make(length=0.16, attachment="none", bodies=()), poses)["dlo-dlo"] < PENETRATION / 2
+    centres = dlo[..., :2].astype(np.float32)
+    assert not overlapping(centres[touching], every, PENETRATION).any()
+    shares = [self_overlap(centres, every, depth) for depth in (0, PENETRATION, 2 * PENETRATION, 2 * DLO_RADIUS)]
+    assert sorted(set(shares), reverse=True) == shares and shares[-1] == 0
 
 
 @settings(max_examples=25)

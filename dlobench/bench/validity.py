@@ -24,20 +24,22 @@ def spacing_error(dlo: Floats, mask: Mask) -> float:
     return float(np.abs(np.sqrt((steps**2).sum(axis=-1)) / SEGMENT_LENGTH - 1).mean())
 
 
-def self_overlap(dlo: Floats, mask: Mask) -> float:
-    """Returns the share of windows in which the DLO overlaps itself (`overlapping`), 0 to 1."""
-    return float(overlapping(dlo, mask).mean())
+def self_overlap(dlo: Floats, mask: Mask, depth: float = 0.0) -> float:
+    """Returns the share of windows in which the DLO overlaps itself by more than `depth` m (`overlapping`), 0 to 1."""
+    return float(overlapping(dlo, mask, depth).mean())
 
 
-def overlapping(dlo: Floats, mask: Mask) -> Mask:
+def overlapping(dlo: Floats, mask: Mask, depth: float = 0.0) -> Mask:
     """Tells in which windows (B,) two segments that are no neighbours are nearer than a DLO's diameter.
 
     As "dlo-dlo" of `dlobench.world.overlaps` defines it: a segment is a line of 5 mm with a radius, and its neighbours
-    are up to three segments away. Its direction is not predicted, and is that from the segment before to the one after.
+    are up to three segments away. Its direction is not predicted, and is that from the segment before to the one after,
+    by which depths are wrong by some tenths of a millimetre: a true DLO that touches itself may already count. What the
+    world allows no state to do is to overlap by more than `depth` = 0.001 m.
     """
     shapes = _shapes(dlo, mask)
     pieces = [_nearest(shapes[first : first + PIECE]) for first in range(0, len(shapes), PIECE)]
-    return np.concatenate(pieces) < 2 * DLO_RADIUS
+    return np.concatenate(pieces) < 2 * DLO_RADIUS - depth
 
 
 def _nearest(shapes: Array) -> Array:
