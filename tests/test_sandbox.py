@@ -404,6 +404,30 @@ def test_records_say_what_was_in_force(board: tuple[Path, dict[str, bytes]]) -> 
     assert ("Landlock" in said or "data and results under empty mounts" in said) != ("nothing hides" in said)
 
 
+def test_what_the_plugin_printed_and_its_traceback_are_there_for_who_debugs(tmp_path: Path) -> None:
+    path = tmp_path / "says.py"
+    path.write_text(
+        (HOSTILE / "raises_in_fit.py").read_text().replace("raise Index", "print('hello')\n        raise Index")
+    )
+    with Sandbox() as sandbox:
+        model = sandbox.load(str(path)).model()
+        with pytest.raises(RunError, match="the moon") as failed:
+            model.fit([], [], Setting(1, (0,)))
+    notes = "\n".join(failed.value.__notes__)
+    assert 'raise IndexError("the moon")' in notes
+    assert "hello" in notes
+
+
+def test_no_order_reaches_the_terminal(tmp_path: Path) -> None:
+    path = tmp_path / "shouts.py"
+    path.write_text((HOSTILE / "raises_in_fit.py").read_text().replace("the moon", "\\x1b[2J\\x07moon"))
+    with Sandbox() as sandbox:
+        model = sandbox.load(str(path)).model()
+        with pytest.raises(RunError, match="moon") as failed:
+            model.fit([], [], Setting(1, (0,)))
+    assert str(failed.value).isprintable()
+
+
 def test_ctrl_c_ends_the_plugin_too(task: Path, data: Path, tmp_path: Path) -> None:
     dlobench = Path(sys.executable).with_name("dlobench")
     arguments = ["run", "--task", task, "--model", HOSTILE / "loops.py", "--data", data, "--out", tmp_path / "out"]

@@ -42,7 +42,7 @@ def confine(*, hidden: Sequence[Path], needed: Sequence[Path], folder: Path, mem
     force = [f"at most {memory / 1e9:.3g} GB a process"]
     hidden = [path.resolve() for path in hidden]
     root, private = os.geteuid() == 0, False
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, AttributeError):  # a libc without the call
         _unshare(user=not root)
         _mount(Path("/dev/shm"), f"size={memory}")  # noqa: S108  semaphores need one, and it is no way to others
         private = True
@@ -62,7 +62,7 @@ def confine(*, hidden: Sequence[Path], needed: Sequence[Path], folder: Path, mem
         allowed = [part for path in (*system, *wanted) for part in without(path, hidden)]
         shared = [Path("/dev/shm")] if private else []  # noqa: S108  ours alone by then
         force.append(landlock.restrict(readable=allowed, writable=[folder, *shared, *devices]))
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError, AttributeError):
         _drop_privileges()
         force.append("no privileges")
     if not any("Landlock" in phrase or "data and results" in phrase for phrase in force):

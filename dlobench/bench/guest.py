@@ -6,6 +6,7 @@ of the plugin: it is the parent that orphans come back to, and ends them all whe
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -29,8 +30,8 @@ _PARENT_DEATH_SIGNAL, _SUBREAPER = 1, 36  # of prctl(2)
 def main() -> None:
     """Starts the process that serves, and waits for it; ends all that descends from it when the run has gone."""
     signal.signal(signal.SIGTERM, _end)
-    checked(libc.prctl(_SUBREAPER, 1, 0, 0, 0), "prctl")
-    checked(libc.prctl(_PARENT_DEATH_SIGNAL, signal.SIGTERM, 0, 0, 0), "prctl")
+    _control(_SUBREAPER, 1)
+    _control(_PARENT_DEATH_SIGNAL, signal.SIGTERM)
     guest = os.fork()
     if not guest:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -43,6 +44,12 @@ def main() -> None:
     end_descendants(os.getpid())
     code = os.waitstatus_to_exitcode(status)
     os._exit(code if code >= 0 else 128 - code)  # as shells say it
+
+
+def _control(option: int, value: int) -> None:
+    """Sets an attribute of this process; elsewhere than on Linux there is none of them."""
+    if sys.platform == "linux":
+        checked(libc.prctl(option, value, 0, 0, 0), "prctl")
 
 
 def _end(_number: int, _frame: object) -> None:
@@ -66,7 +73,7 @@ def _serve(sock: socket.socket) -> None:
         tasks=cage["tasks"],
     )
     # What a plugin's process may be told to do starts here; before, nothing of the plugin has run.
-    checked(libc.prctl(_PARENT_DEATH_SIGNAL, signal.SIGKILL, 0, 0, 0), "prctl")
+    _control(_PARENT_DEATH_SIGNAL, signal.SIGKILL)
     wire.send({"ask": asked["ask"], "done": True, "force": force})
     guest, here = Guest(wire), os.getpid()
     while True:
@@ -80,6 +87,9 @@ def _serve(sock: socket.socket) -> None:
             header, reply = _blamed(error), {}
         if os.getpid() != here:
             os._exit(0)  # a fork that the plugin let go on: it has nothing to say
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError, ValueError, AttributeError):  # a plugin may have closed or replaced it
+                stream.flush()
         wire.send({"ask": asked["ask"], "done": True, **header}, reply)
 
 

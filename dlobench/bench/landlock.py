@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -31,6 +32,8 @@ class _Beneath(ctypes.Structure):
 
 def version() -> int:
     """Returns the version of the kernel's interface, 0 where there is none."""
+    if sys.platform != "linux":
+        return 0
     return max(0, int(libc.syscall(_CREATE, None, ctypes.c_size_t(0), ctypes.c_uint32(1))))
 
 

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
@@ -109,7 +110,8 @@ class Sandbox:
         if process is None:
             return
         end_descendants(process.pid)
-        process.kill()
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
         process.wait()
         self._wire.close()
         os.close(self._output)
@@ -190,7 +192,8 @@ class Sandbox:
             raise
         if "error" in answer:
             kind = {"usage": UsageError, "run": RunError}.get(str(answer["error"]), Misdeed)
-            failure = kind(str(answer.get("said")))
+            said = "".join(each if each.isprintable() else " " for each in str(answer.get("said")))
+            failure = kind(said)  # a terminal takes what else is there for orders
             self._note(failure, str(answer.get("trace", "")))
             raise failure
         return answer, parts
