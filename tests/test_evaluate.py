@@ -179,7 +179,7 @@ WRONG: dict[str, tuple[Answer, str]] = {
     "inf": (fill(np.inf), "not finite"),
     "no samples": (lambda right, query: Prediction(dlo=right.dlo[0]), r"\(12, 32, 2\).*\(1, 12, 32, 2\)"),
     "two samples": (lambda right, query: Prediction(dlo=right.dlo.repeat(2, 0)), r"\(2, 12, 32, 2\)"),
-    "yaw": (lambda right, query: Prediction(dlo=query.dlo[None]), r"\(1, 12, 32, 3\)"),
+    "yaw": (lambda right, query: Prediction(dlo=query.dlo[None].copy()), r"\(1, 12, 32, 3\)"),
     "one short": (lambda right, query: Prediction(dlo=right.dlo[:, 1:]), r"\(1, 11, 32, 2\)"),
     "integers": (lambda right, query: Prediction(dlo=right.dlo.astype(int)), "int64"),
     "objects": (lambda right, query: Prediction(dlo=right.dlo.astype(object)), "object"),
