@@ -439,7 +439,7 @@ def test_an_interrupted_run_leaves_what_was_there(method: str, call: Call, mini:
     assert call(*RUN, "--K", 1, "--data", mini, "--out", out).code == 0
     before = files(out)
     mine = plugin(tmp_path / "p", f"def {method}:\n        import time\n        time.sleep(60)")
-    command = ["run", "--task", "meta", "--K", "1", "--data", mini, "--out", out, "--model", mine]
+    command = ["run", "--task", "meta", "--K", "1", "--data", str(mini), "--out", str(out), "--model", str(mine)]
     process = start(DLOBENCH, *command)
     wait_for(lambda: len(family(process.pid)) > 1)  # the plugin's own process
     time.sleep(2)
