@@ -104,6 +104,34 @@ def test_a_known_offset_gives_known_scores(K: int) -> None:
         assert (found.persistence_mse, found.persistence_euclidean) == pytest.approx((mse, euclidean))
 
 
+def test_moving_windows_and_bodies_are_scored_apart() -> None:
+    class Turned(Oracle):
+        def predict(self, query: Query, samples: int) -> Prediction:
+            right = super().predict(query, samples)
+            bodies = query.bodies.copy()
+            bodies[..., :2] += [3 * UNIT, 4 * UNIT]
+            bodies[..., 2] += 2 * np.pi - 0.25
+            bodies[:, 1:] = np.nan  # of the bodies only one exists
+            return Prediction(dlo=right.dlo, bodies=bodies[None])
+
+    (one, other) = score(Turned(offset=UNIT), 0).domains
+    assert one.body_position == pytest.approx(5 * UNIT, rel=1e-4)
+    assert one.body_yaw == other.body_yaw == pytest.approx(0.25, rel=1e-4)
+    assert one.shape == one.euclidean == one.euclidean_moving == UNIT
+    assert 0 < one.moving <= one.windows
+    assert score(Oracle(), 0).domains[0].body_position is None
+
+
+@pytest.mark.parametrize("bodies", [np.zeros((1, 12, 2, 3)), np.zeros((12, 3, 3)), np.zeros((1, 12, 3, 3), int)])
+def test_bodies_of_a_wrong_form_are_named(bodies: Any) -> None:
+    class Wrong(Oracle):
+        def predict(self, query: Query, samples: int) -> Prediction:
+            return Prediction(dlo=super().predict(query, samples).dlo, bodies=bodies)
+
+    with pytest.raises(RunError, match=r"Wrong.predict returned bodies of .*a float array of \(1, 12, 3, 3\)"):
+        score(Wrong(), 0)
+
+
 def test_standing_still_has_skill_0() -> None:
     class Still(Oracle):
         def predict(self, query: Query, samples: int) -> Prediction:

@@ -16,7 +16,7 @@ from dlobench.bench.results import CellScore, DomainScore
 from dlobench.bench.task import Fit, Scale, Task, supports
 from dlobench.domain import WORKSPACE
 from dlobench.errors import RunError, UsageError
-from dlobench.trajectories import Prediction, Query, Trajectories
+from dlobench.trajectories import Floats, Prediction, Query, Trajectories
 
 Returned = TypeVar("Returned")
 
@@ -38,23 +38,35 @@ def call(what: str, function: Callable[[], Returned]) -> Returned:
 
 
 def predict(model: Model, query: Query, what: str) -> Prediction:
-    """Predicts and checks the answer: (1, B, 32, 2) floats within a kilometre; raises `RunError` otherwise.
+    """Predicts and checks the answer: dlo (1, B, 32, 2) and, if any, bodies (1, B, 3, 3), floats within a kilometre.
 
-    The model gets a copy, so that whatever it does to its query changes no score.
+    The model gets a copy, so that whatever it does to its query changes no score. Raises `RunError`.
     """
-    given = copy.deepcopy(query)
+    given, B = copy.deepcopy(query), len(query)
     prediction = call(f"{what}.predict", lambda: model.predict(given, 1))
+    bodies = getattr(prediction, "bodies", None)
+    _check_form(getattr(prediction, "dlo", None), "dlo", (1, B, *query.dlo.shape[1:2], 2), what)
+    if bodies is not None:
+        _check_form(bodies, "bodies", (1, *query.bodies.shape), what)
     call(f"{what}.predict", lambda: plain(prediction, given))
-    dlo, wanted = getattr(prediction, "dlo", None), (1, *query.dlo.shape[:2], 2)
-    if not isinstance(dlo, np.ndarray) or dlo.shape != wanted or dlo.dtype.kind != "f":
-        got = f"{dlo.dtype} {dlo.shape}" if isinstance(dlo, np.ndarray) else type(dlo).__name__
-        raise RunError(f"{what}.predict returned dlo of {got}, a float array of {wanted} was asked for")
-    valid = dlo[:, :, query.dlo_mask]
-    if not np.isfinite(valid).all():
-        raise RunError(f"{what}.predict returned values that are not finite")
-    if np.abs(valid).max(initial=0) > FAR:
-        raise RunError(f"{what}.predict returned a segment {np.abs(valid).max():.3g} m away, in a box of {WORKSPACE} m")
+    _check_values(prediction.dlo[:, :, query.dlo_mask], "a segment", what)
+    if bodies is not None:
+        _check_values(bodies[:, :, query.body_mask], "a body", what)
     return prediction
+
+
+def _check_form(array: object, name: str, wanted: tuple[int, ...], what: str) -> None:
+    if not isinstance(array, np.ndarray) or array.shape != wanted or array.dtype.kind != "f":
+        got = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+        raise RunError(f"{what}.predict returned {name} of {got}, a float array of {wanted} was asked for")
+
+
+def _check_values(values: Floats, thing: str, what: str) -> None:
+    if not np.isfinite(values).all():
+        raise RunError(f"{what}.predict returned values that are not finite")
+    farthest = np.abs(values).max(initial=0)
+    if farthest > FAR:
+        raise RunError(f"{what}.predict returned {thing} {farthest:.3g} m away, in a box of {WORKSPACE} m")
 
 
 def parameters(model: Model, what: str) -> int:
@@ -85,8 +97,7 @@ def _errors(model: Model, trajectories: Trajectories, *, scale: Scale, horizon: 
     """Returns the scores of one domain by name, averaged over its supports."""
     what = type(model).__name__
     query, truth = trajectories.take(slice(scale.support, scale.support + scale.query)).windows(horizon)
-    true, mask = truth.dlo[0], query.dlo_mask
-    errors, adapting, predicting = [], 0.0, 0.0
+    found, adapting, predicting = [], 0.0, 0.0
     for chosen in supports(scale.support, K):
         support = copy.deepcopy(trajectories.take(chosen))  # the model's own: the pool stays as it is
         begin = time.perf_counter()
@@ -94,20 +105,35 @@ def _errors(model: Model, trajectories: Trajectories, *, scale: Scale, horizon: 
         if not isinstance(adapted, Model):
             raise RunError(f"{what}.adapt returned {type(adapted).__name__}, a Model was asked for")
         middle = time.perf_counter()
-        predicted = predict(adapted, query, what).dlo[0]
+        prediction = predict(adapted, query, what)
         adapting, predicting = adapting + middle - begin, predicting + time.perf_counter() - middle
-        errors.append((metrics.mse(predicted, true, mask), metrics.euclidean(predicted, true, mask)))
-    mse, euclidean = np.mean(errors, axis=0)
-    still = query.dlo[..., :2]
+        found.append(_scores(prediction, query, truth))
+    still, true, mask = query.dlo[..., :2], truth.dlo[0], query.dlo_mask
     return {
-        "supports": len(errors),
+        "supports": len(found),
         "windows": len(query),
-        "mse": mse,
-        "euclidean": euclidean,
+        "moving": int(metrics.moving(still, true, mask).sum()),
+        **{name: None if found[0][name] is None else np.mean([one[name] for one in found]) for name in found[0]},
         "persistence_mse": metrics.mse(still, true, mask),
         "persistence_euclidean": metrics.euclidean(still, true, mask),
-        "adapt_seconds": adapting / len(errors) if K else 0.0,
-        "predict_seconds": predicting / len(errors) / len(query),
+        "adapt_seconds": adapting / len(found) if K else 0.0,
+        "predict_seconds": predicting / len(found) / len(query),
+    }
+
+
+def _scores(prediction: Prediction, query: Query, truth: Prediction) -> dict[str, Any]:
+    """Returns the scores of one prediction by name; None for what there is nothing of."""
+    predicted, true, mask = prediction.dlo[0], truth.dlo[0], query.dlo_mask
+    bodies = None
+    if prediction.bodies is not None and truth.bodies is not None:
+        bodies = metrics.pose_error(prediction.bodies[0], truth.bodies[0], query.body_mask)
+    return {
+        "mse": metrics.mse(predicted, true, mask),
+        "euclidean": metrics.euclidean(predicted, true, mask),
+        "shape": metrics.shape_error(predicted, true, mask),
+        "euclidean_moving": metrics.where_moving(metrics.euclidean, predicted, true, query.dlo[..., :2], mask),
+        "body_position": None if bodies is None else bodies.position,
+        "body_yaw": None if bodies is None else bodies.angle,
     }
 
 

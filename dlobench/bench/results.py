@@ -32,8 +32,13 @@ class DomainScore(_Part):
     cell: str  # of the set: material-attachment-length-objects
     supports: int = Field(ge=1)
     windows: int = Field(ge=1)  # queries
+    moving: int = Field(ge=0)  # of them move the DLO by more than 1 mm
     mse: float = Field(ge=0)  # m², per coordinate
     euclidean: float = Field(ge=0)  # m, per segment
+    shape: float = Field(ge=0)  # m, root mean square over the segments of a window
+    euclidean_moving: float | None = Field(ge=0)  # m, over the windows that move; None where none does
+    body_position: float | None = Field(ge=0)  # m, per rigid body; None without bodies, or where none are predicted
+    body_yaw: float | None = Field(ge=0)  # rad
     persistence_mse: float = Field(ge=0)  # m²
     persistence_euclidean: float = Field(ge=0)  # m
     adapt_seconds: float = Field(ge=0)  # of one adaptation
