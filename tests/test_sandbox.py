@@ -452,12 +452,17 @@ def test_ctrl_c_ends_the_plugin_too(task: Path, data: Path, tmp_path: Path) -> N
 def test_a_plugin_ends_with_a_run_that_is_killed(task: Path, data: Path, tmp_path: Path) -> None:
     process = _looping(task, data, tmp_path / "out")
     guest = _guest_of(process.pid)
+    folder = Path(f"/proc/{guest}/cwd").readlink()
+    assert folder.exists()
     process.kill()
     process.communicate()
     until = time.monotonic() + 10
     while Path(f"/proc/{guest}").exists() and time.monotonic() < until:
         time.sleep(0.05)
     assert not Path(f"/proc/{guest}").exists()
+    while folder.exists() and time.monotonic() < until:
+        time.sleep(0.05)
+    assert not folder.exists(), "nor does what it wrote stay"
 
 
 def _looping(task: Path, data: Path, out: Path) -> subprocess.Popen[str]:

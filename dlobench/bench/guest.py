@@ -9,12 +9,14 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import shutil
 import signal
 import socket
 import sys
 import traceback
 from dataclasses import MISSING
-from typing import TYPE_CHECKING, Any, get_type_hints
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn, get_type_hints
 
 from dlobench.bench.confinement import confine
 from dlobench.bench.landlock import checked, libc
@@ -24,12 +26,13 @@ if TYPE_CHECKING:
     from dlobench.bench.model import Model
     from dlobench.bench.wire import Arrays, Wire
 
+FOLDER = "dlobench-plugin-"  # how the name of the folder begins that a plugin works in
 _PARENT_DEATH_SIGNAL, _SUBREAPER = 1, 36  # of prctl(2)
 
 
 def main() -> None:
     """Starts the process that serves, and waits for it; ends all that descends from it when the run has gone."""
-    signal.signal(signal.SIGTERM, _end)
+    signal.signal(signal.SIGTERM, lambda *_: _leave(128 + signal.SIGTERM))
     _control(_SUBREAPER, 1)
     _control(_PARENT_DEATH_SIGNAL, signal.SIGTERM)
     guest = os.fork()
@@ -41,9 +44,8 @@ def main() -> None:
     pid, status = 0, 0
     while pid != guest:  # and whatever orphan comes back
         pid, status = os.wait()
-    end_descendants(os.getpid())
     code = os.waitstatus_to_exitcode(status)
-    os._exit(code if code >= 0 else 128 - code)  # as shells say it
+    _leave(code if code >= 0 else 128 - code)  # as shells say it
 
 
 def _control(option: int, value: int) -> None:
@@ -52,14 +54,15 @@ def _control(option: int, value: int) -> None:
         checked(libc.prctl(option, value, 0, 0, 0), "prctl")
 
 
-def _end(_number: int, _frame: object) -> None:
+def _leave(code: int) -> NoReturn:
+    """Ends all that descends from this process, then it, and removes the folder that the plugin worked in."""
     end_descendants(os.getpid())
-    os._exit(128 + signal.SIGTERM)
+    if Path.cwd().name.startswith(FOLDER):
+        shutil.rmtree(Path.cwd(), ignore_errors=True)
+    os._exit(code)
 
 
 def _serve(sock: socket.socket) -> None:
-    from pathlib import Path
-
     from dlobench.bench.wire import Wire
 
     wire = Wire(sock)

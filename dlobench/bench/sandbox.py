@@ -20,6 +20,7 @@ from typing import Any, NoReturn
 
 from dlobench.bench import plugins
 from dlobench.bench.answers import Misdeed
+from dlobench.bench.guest import FOLDER
 from dlobench.bench.limits import Limits
 from dlobench.bench.plugins import ModelPlugin
 from dlobench.bench.processes import descendants, end_descendants, resident
@@ -122,7 +123,7 @@ class Sandbox:
         if self._process is not None:
             return
         ours, theirs = socket.socketpair()
-        self._folder = tempfile.TemporaryDirectory(prefix="dlobench-plugin-", ignore_cleanup_errors=True)
+        self._folder = tempfile.TemporaryDirectory(prefix=FOLDER, ignore_cleanup_errors=True)
         self._output, printed = os.pipe()
         os.set_blocking(self._output, False)
         folder = Path(self._folder.name).resolve()
