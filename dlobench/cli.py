@@ -16,6 +16,7 @@ import typer
 
 from dlobench import __version__
 from dlobench.cli_board import leaderboard_app, show
+from dlobench.cli_compare import compare
 from dlobench.cli_data import Scale, data_app, generate
 from dlobench.cli_look import Data, list_app, open_store
 from dlobench.cli_render import render
@@ -34,6 +35,7 @@ app.add_typer(list_app, name="list")
 app.add_typer(data_app, name="data")
 app.add_typer(leaderboard_app, name="leaderboard")
 app.command()(generate)
+app.command()(compare)
 app.command()(render)
 app.command()(validate)
 

@@ -2,12 +2,13 @@
 
 Every statistic is a ratio of sums Σv / Σw over a matrix (S seeds, D domains): w = 1 for a mean, and for the skill
 v = persistence_mse − mse, w = persistence_mse. The variance of the ratio, linearised, is that of a two-way
-random-effects mean, (MS_seed + MS_domain − MS_rest) / SD, with degrees of freedom by Satterthwaite (1946, "An approximate
-distribution of estimates of variance components"). Below `FEW` seeds the interval is Student's t with these. From there
-on it is the percentile interval of the bootstrap that draws seeds and domains independently (Owen 2007, "The pigeonhole
-bootstrap"), which is too narrow for few seeds; its ends are therefore moved from the estimate until its width is that
-of the t-interval (the expansion of Hesterberg 2015, "What teachers should know about the bootstrap"), and the skew is
-the bootstrap's. tests/test_statistics.py measures the coverage.
+random-effects mean, (MS_seed + MS_domain − MS_rest) / SD, with degrees of freedom by Satterthwaite (1946, "An
+approximate distribution of estimates of variance components"). Below `FEW` seeds the interval is Student's t with
+these. From there on it is the percentile interval of the bootstrap that draws seeds and domains independently (Owen
+2007, "The pigeonhole bootstrap"), which is too narrow for few seeds; its ends are therefore moved from the estimate
+until its width is that of the t-interval (after the expansion of Hesterberg 2015, "What teachers should know about the
+bootstrap"): the width is Student's, the skew the bootstrap's. Where the truth is known (crossed normal effects, 2–10
+seeds, 12–48 domains) 94–97 % of the intervals hold it, 98–100 % where neither seeds nor domains differ.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ class Interval:
 
 
 def generator(*key: object) -> np.random.Generator:
-    """Returns the generator of a key: the same names give the same draws, on every machine and in every order of rows."""
+    """Returns the generator of a key: the same names give the same draws, whatever the order of rows."""
     digest = hashlib.sha256("\0".join(map(str, key)).encode()).digest()
     return np.random.default_rng(np.frombuffer(digest, np.uint32))
 
