@@ -19,7 +19,7 @@ Data = Annotated[Path | None, typer.Option(help="Data folder. Default: $DLOBENCH
 
 @list_app.command("tasks")
 def list_tasks(as_json: Json = False) -> None:
-    """List the tasks: what they ask, and their cells at every scale."""
+    """List the tasks: at every scale what they read, how many fits they take, and over what they sweep."""
     from dlobench.bench.plugins import find, load_task
     from dlobench.data.domain_set import SCALES
 
@@ -27,9 +27,25 @@ def list_tasks(as_json: Json = False) -> None:
     for name, found in find("tasks").items():
         task = load_task(name)
         for scale in SCALES:
-            cells = list(dict.fromkeys(task.cell_id(fit, K) for fit in task.fits(scale) for K in task.scale(scale).K))
-            rows.append({"task": name, "about": found.about, "set": task.set, "scale": scale, "cells": cells})
-    print_rows(rows, as_json, ["task", "scale", "cells", "set"])
+            spans = [span for of_part in task.spans(scale).values() for span in of_part]
+            chosen, fits = task.scale(scale), task.fits(scale)
+            rows.append(
+                {
+                    "task": name,
+                    "about": found.about,
+                    "scale": scale,
+                    "set": task.set,
+                    "domains": len({span.domain for span in spans}),
+                    "pushes": task.of.total(spans),
+                    "fits": len(fits),
+                    "trajectories": list(chosen.trajectories),
+                    "horizon": list(task.horizon),
+                    "K": list(chosen.K),
+                    "cells": list(dict.fromkeys(task.cell_id(fit, K) for fit in fits for K in chosen.K)),
+                }
+            )
+    columns = ["task", "scale", "set", "domains", "pushes", "fits", "trajectories", "horizon", "K"]
+    print_rows(rows, as_json, columns)
 
 
 @list_app.command("models")

@@ -136,7 +136,9 @@ def test_a_task_fits_into_its_set(path: Path, scale: ScaleName) -> None:
     used = [(span.domain, k) for span in everything(task, scale) for k in range(span.first, span.first + span.count)]
     assert len(used) == len(set(used)), "no trajectory has two parts"
     of = find(task.set)
-    assert {str(of.cell(s.domain)) for s in spans["test"]} == {str(of.cell(s.domain)) for s in spans["train"]}
+    for name in ("material", "attachment"):
+        kinds = {part: {getattr(of.cell(span.domain), name) for span in spans[part]} for part in PARTS}
+        assert kinds["test"] == kinds["valid"] == kinds["train"]
 
 
 @pytest.mark.parametrize(
