@@ -226,8 +226,14 @@ def test_results_are_out_of_reach_of_who_tries_in_silence(call: Call, tmp_path: 
 
 @pytest.mark.parametrize("what", ["shard", "data", "record", "out", "checkout", "home"])
 def test_a_plugin_cannot_read_what_it_was_not_given(
-    what: str, call: Call, data: Path, board: tuple[Path, dict[str, bytes]], capsys: pytest.CaptureFixture[str]
+    what: str,
+    call: Call,
+    data: Path,
+    board: tuple[Path, dict[str, bytes]],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.delenv("PYTHONPATH", raising=False)  # what its user imports from, a plugin may read
     out, before = board
     shard = next(path for path in sorted(data.rglob("*")) if path.is_file())
     record = next(path for path in sorted(out.rglob("seed*.json")))
