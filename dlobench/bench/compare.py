@@ -47,7 +47,7 @@ def compare(frame: pd.DataFrame, a: str, b: str, *, task: str, scale: str, metri
     if there.empty:
         known = sorted(set(zip(frame["task"], frame["scale"], strict=True)))
         raise UsageError(
-            f"no record of {task} at scale {scale}: {', '.join(' at '.join(each) for each in known) or 'none'} are there"
+            f"no record of {task} at scale {scale}: there are {', '.join(' at '.join(each) for each in known) or 'none'}"
         )
     there = there[there["task_version"] == there["task_version"].max()]
     check_metric(there, metric)

@@ -1,6 +1,6 @@
 """Lays records out as one tidy table, and ranks models by it: places with ties, ranks with intervals.
 
-A row is one (task, task_version, scale, cell, model, config, seed, domain); every numeric score of a domain is a column.
+A row is one (task, task_version, scale, cell, model, config, seed, domain); every number of a domain is a column.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ def places(frame: pd.DataFrame, metric: str = SKILL) -> pd.DataFrame:
 
     A tie is a paired interval of the difference between neighbours that holds 0, or no interval, or nothing shared.
     """
-    groups = {key: rows for key, rows in frame.groupby(["model", "config"], sort=True)}
+    groups = dict(iter(frame.groupby(["model", "config"], sort=True)))
     found = {key: score(rows, metric) for key, rows in groups.items()}
     sign = -1 if metric == SKILL else 1
     order = sorted(found, key=lambda key: (sign * found[key].estimate, key))

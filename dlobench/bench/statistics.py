@@ -115,4 +115,6 @@ def resampled(values: Array, weights: Array, seeds: tuple[str, ...], domains: tu
     of_seeds, of_domains = counts("seeds", seeds), counts("domains", domains)
     above = np.einsum("rd,rd->r", of_seeds @ values, of_domains)
     below = np.einsum("rd,rd->r", of_seeds @ weights, of_domains)
-    return np.divide(above, below, out=np.full(len(above), float(values.sum() / weights.sum())), where=below > 0)
+    whole = np.full(len(above), float(values.sum() / weights.sum()))
+    drawn: Array = np.divide(above, below, out=whole, where=below > 0)
+    return drawn
