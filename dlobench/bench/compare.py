@@ -46,9 +46,8 @@ def compare(frame: pd.DataFrame, a: str, b: str, *, task: str, scale: str, metri
     there = frame[(frame["task"] == task) & (frame["scale"] == scale)]
     if there.empty:
         known = sorted(set(zip(frame["task"], frame["scale"], strict=True)))
-        raise UsageError(
-            f"no record of {task} at scale {scale}: there are {', '.join(' at '.join(each) for each in known) or 'none'}"
-        )
+        found_there = ", ".join(" at ".join(each) for each in known) or "none"
+        raise UsageError(f"no record of {task} at scale {scale}: there are {found_there}")
     there = there[there["task_version"] == there["task_version"].max()]
     check_metric(there, metric)
     of_a, of_b = choose(there, a), choose(there, b)
