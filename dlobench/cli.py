@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import math
 import os
@@ -191,6 +192,13 @@ def main() -> None:
         code = error.exit_code
     except KeyboardInterrupt:
         code = 130
+    except OSError as error:
+        if error.filename is not None or error.errno not in (errno.ENOSPC, errno.EPIPE):
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is left in the buffer has nowhere to go
+        if error.errno != errno.EPIPE:  # a reader that has gone, such as `head`, has seen enough
+            _fail(f"cannot write what was to be printed: {error.strerror}")
+        code = 1
     except Exception as error:
         # Errors of the command line itself carry what to say; they live in a private module of typer.
         format_message = getattr(error, "format_message", None)

@@ -497,3 +497,28 @@ def test_the_leaderboard_is_built_to_the_same_bytes(call: Call, mini: Path, tmp_
 def test_a_missing_results_folder_is_named(call: Call, tmp_path: Path) -> None:
     check_failed(call("leaderboard", "build", "--results", tmp_path / "absent"), 1, str(tmp_path / "absent"))
     assert not (tmp_path / "absent").exists()
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+@pytest.mark.parametrize("command", [("list", "sets"), ("list", "models", "--json"), ("data", "status")])
+def test_a_full_disk_behind_the_output_is_told_in_one_line(command: tuple[str, ...], tmp_path: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [str(DLOBENCH), *command],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+            env=os.environ | {"DLOBENCH_DATA": str(tmp_path)},
+        )
+    assert done.returncode == 1
+    assert done.stderr == "dlobench: cannot write what was to be printed: No space left on device\n"
+
+
+def test_a_reader_that_has_seen_enough_is_no_failure_worth_a_line() -> None:
+    command = [str(DLOBENCH), "list", "tasks", "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()  # as `head` does
+        assert process.stderr.read() == ""
+    assert process.returncode == 1
