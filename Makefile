@@ -29,7 +29,7 @@ type: $(VENV)/installed  ## Mypy, strict
 unit: $(VENV)/installed  ## The tests alone
 	$(BIN)/pytest --durations=8
 
-faults: $(VENV)/installed  ## Kills, flipped bytes, full disks, lost nodes: all rounds (6 minutes)
+faults: $(VENV)/installed  ## Kills, flipped bytes, full disks, lost nodes: all rounds (2 minutes)
 	DLOBENCH_FAULTS=1 $(BIN)/pytest -m faults --durations=8
 
 bench: $(VENV)/installed  ## Benchmarks, with their ratios
