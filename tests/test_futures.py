@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -104,6 +106,25 @@ def test_a_state_that_fails_is_drawn_again_and_one_that_always_fails_is_told(mon
     monkeypatch.setattr(Simulator, "push", fail)
     with pytest.raises(RunError, match=r"20 states in a row failed from seed \[5, 10\]"):
         futures.futures(DOMAIN, [5, 10], sequences=1, executions=1, pushes=1)
+
+
+def test_a_pusher_that_is_stuck_costs_a_state_or_a_trajectory(monkeypatch: pytest.MonkeyPatch) -> None:
+    draw, drawn = actions.draw, [0]
+
+    def stuck_once(*arguments: Any) -> Any:
+        drawn[0] += 1
+        if drawn[0] == 2:
+            raise actions.Stuck("no feasible push")
+        return draw(*arguments)
+
+    monkeypatch.setattr(actions, "draw", stuck_once)
+    _, account = futures.futures(DOMAIN, [5, 10], sequences=1, executions=2, pushes=2)
+    assert account.trajectories_redrawn == 1
+    drawn[0] = 0
+    found, account = simulate.simulate(DOMAIN, [[1, 2], [1, 3]], pushes=2)
+    assert account.trajectories_redrawn == 1
+    alone, _ = simulate.simulate(DOMAIN, [[1, 2]], pushes=2)
+    assert np.array_equal(found.dlo[0], alone.dlo[0]), "the other trajectory does not notice"
 
 
 @pytest.mark.parametrize("wrong", [{"sequences": 0}, {"executions": 0}, {"pushes": 0}, {"pushes": 21}])

@@ -152,7 +152,12 @@ def walk(probe: Probe, seeds: Sequence[Sequence[int]], pushes: int) -> Iterator[
         before, displacement, redrawn, running = probe.rest(), still.copy(), 0, ~probe.failed
         for s in np.flatnonzero(running):
             dlo = state.dlo[s, : probe.domain.segments, :2]
-            command, again = actions.draw(streams[s].action, state.pusher[s], dlo, None if fixed is None else fixed[s])
+            place = None if fixed is None else fixed[s]
+            try:
+                command, again = actions.draw(streams[s].action, state.pusher[s], dlo, place)
+            except actions.Stuck:
+                probe.failed[s], running[s] = True, False
+                continue
             displacement[s] = command + actions.noise(streams[s].noise)
             redrawn += again
         state = probe.push(displacement)

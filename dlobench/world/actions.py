@@ -25,6 +25,10 @@ ROOM = 4.5 * DLO_RADIUS  # m, kept free between the pusher and what cannot move:
 ATTEMPTS = 10_000
 
 
+class Stuck(RunError):
+    """Says that a pusher has nowhere to go: none of a great many drawn commands is feasible."""
+
+
 def feasible(pusher: Array, displacement: Array, fixed: Array | None) -> bool:
     """Tells whether a command keeps the pusher in reach and off a fixed cylinder at `fixed`, whatever the noise."""
     target = pusher + displacement
@@ -44,7 +48,7 @@ def draw(rng: np.random.Generator, pusher: Array, dlo: Array, fixed: Array | Non
     """Draws a feasible command and tells how many infeasible ones were redrawn.
 
     pusher (2,) m; dlo (segments, 2) m, the centres of the segments that exist; fixed (2,) m or None.
-    Raises `RunError` when none of a great many draws is feasible.
+    Raises `Stuck` when none of a great many draws is feasible.
     """
     towards = dlo[np.argmin(np.linalg.norm(dlo - pusher, axis=-1))] - pusher
     bearing = np.arctan2(towards[1], towards[0])
@@ -54,7 +58,7 @@ def draw(rng: np.random.Generator, pusher: Array, dlo: Array, fixed: Array | Non
         displacement = rng.uniform(*DISTANCE) * np.array([np.cos(angle), np.sin(angle)])
         if feasible(pusher, displacement, fixed):
             return displacement, redrawn
-    raise RunError(f"no feasible push in {ATTEMPTS} draws with the pusher at {pusher}")
+    raise Stuck(f"no feasible push in {ATTEMPTS} draws with the pusher at {pusher}")
 
 
 def noise(rng: np.random.Generator) -> Array:

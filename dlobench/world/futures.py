@@ -92,7 +92,10 @@ def _biased_push(simulator: Simulator, state: State, streams: Streams) -> tuple[
     """Executes one push as trajectories have it; returns the state, the command and how many were redrawn."""
     fixed = simulator.fixed_cylinders()
     segments = state.dlo[0, : simulator.domain.segments, :2]
-    command, redrawn = actions.draw(streams.action, state.pusher[0], segments, None if fixed is None else fixed[0])
+    try:
+        command, redrawn = actions.draw(streams.action, state.pusher[0], segments, None if fixed is None else fixed[0])
+    except actions.Stuck as error:
+        raise _Failed from error
     state = simulator.push((command + actions.noise(streams.noise))[None])
     if simulator.failed.any():
         raise _Failed

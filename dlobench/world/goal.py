@@ -56,7 +56,8 @@ def reach(physics: Physics, start: Start, rng: np.random.Generator) -> Array:
     first = farthest = centres(physics)
     for _ in range(TRIALS):
         now = first
-        with contextlib.suppress(control.PhysicsError):  # what cannot be simulated is no goal; what came before may be
+        # What cannot be simulated is no goal, nor is where no push leads away from; what came before may be.
+        with contextlib.suppress(control.PhysicsError, actions.Stuck):
             for _ in range(PUSHES):
                 command, _ = actions.draw(rng, physics.state().pusher[0], now, physics.fixed_cylinder())
                 physics.step(physics.plan(command))

@@ -134,7 +134,7 @@ class Account:
 
     commands_redrawn: int  # infeasible commands
     commands: int  # feasible commands
-    trajectories_redrawn: int  # simulations that raised, warned or pressed solids into each other
+    trajectories_redrawn: int  # simulations that raised, warned, pressed solids together or got stuck
 
 
 def simulate(
@@ -142,9 +142,9 @@ def simulate(
 ) -> tuple[Trajectories, Account]:
     """Simulates one trajectory a seed, with biased pushes executed with noise.
 
-    A trajectory whose simulation raises, warns or presses solids into each other is redrawn from its seed and
-    the attempt's number, and counted. Raises `RunError` when one fails too often, and `UsageError` for a number that
-    makes no sense.
+    A trajectory whose simulation raises, warns or presses solids into each other, or whose pusher has nowhere to go, is
+    redrawn from its seed and the attempt's number, and counted. Raises `RunError` when one fails too often, and
+    `UsageError` for a number that makes no sense.
     """
     if not isinstance(seeds, Sequence | np.ndarray) or isinstance(seeds, str):
         raise UsageError(f"seeds = {ranges.shown(seeds)} is not a list of seeds")
@@ -188,9 +188,12 @@ def _attempt(
         command, noise = np.zeros((2, len(seeds), 2))
         for s in np.flatnonzero(~simulator.failed):
             dlo = state.dlo[s, : domain.segments, :2]
-            command[s], again = actions.draw(
-                streams[s].action, state.pusher[s], dlo, None if fixed is None else fixed[s]
-            )
+            place = None if fixed is None else fixed[s]
+            try:
+                command[s], again = actions.draw(streams[s].action, state.pusher[s], dlo, place)
+            except actions.Stuck:  # in the corner of a wall and a fixed cylinder, say
+                simulator.failed[s] = True
+                continue
             noise[s] = actions.noise(streams[s].noise)
             drawn, redrawn = drawn + 1, redrawn + again
         state = simulator.push(command + noise)
