@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from test_results import record
 
-from dlobench.bench.compare import compare
+from dlobench.bench.compare import compare, draw
 from dlobench.bench.ranking import difference, places, ranks, score, scores, with_all
 from dlobench.bench.results import DomainScore, Record, write
 from dlobench.cli import main
@@ -113,6 +113,58 @@ def test_other_data_is_never_compared() -> None:
     other = b.model_copy(update={"provenance": b.provenance.model_copy(update={"data_sha256": "d" * 64})})
     with pytest.raises(UsageError, match="a and b were scored on different data: aaaaaaaa and dddddddd"):
         compare(scores([made("a", HARD), other]), "a", "b", task="meta", scale="mini")
+
+
+def test_another_split_and_nothing_in_common_are_refused() -> None:
+    b = made("b", HARD)
+    other = b.model_copy(update={"provenance": b.provenance.model_copy(update={"split_sha256": "d" * 64})})
+    with pytest.raises(UsageError, match="different split"):
+        compare(scores([made("a", HARD), other]), "a", "b", task="meta", scale="mini")
+    with pytest.raises(UsageError, match="different data or splits"):
+        ranks(scores([made("a", HARD), other]))
+    frame = scores([made("a", HARD), b])
+    apart = frame.assign(domain=frame["domain"] + frame["model"])
+    with pytest.raises(UsageError, match="share no domain"):
+        compare(apart, "a", "b", task="meta", scale="mini")
+    with pytest.raises(UsageError, match="share no seed"):
+        compare(scores([made("a", HARD, seed=1), b]), "a", "b", task="meta", scale="mini")
+    with pytest.raises(UsageError, match="share no cell"):
+        compare(scores([made("a", HARD, K=(1,)), b]), "a", "b", task="meta", scale="mini")
+
+
+@pytest.mark.parametrize("seeds", [1, 3, 6])
+def test_pairs_are_narrower_than_strangers(seeds: int) -> None:
+    rng = np.random.default_rng(2)
+    records = [
+        made(model, HARD + shift + 0.1 * rng.normal(size=8), seed=seed)
+        for seed in range(seeds)
+        for model, shift in (("a", 0.0), ("b", 0.5))
+    ]
+    frame = scores(records)
+    one, other = frame[frame["model"] == "a"], frame[frame["model"] == "b"]
+    paired, alone = difference(other, one, "mse"), score(one, "mse")
+    assert paired.low is not None and paired.high is not None and alone.low is not None and alone.high is not None
+    assert 0 < paired.low < paired.high
+    assert paired.high - paired.low < (alone.high - alone.low) / 5
+    back = difference(one, other, "mse")
+    assert (back.low, back.high) == pytest.approx((-paired.high, -paired.low))
+
+
+def test_models_are_ranked_over_the_domains_that_all_have() -> None:
+    easy = HARD.argsort()[:4]
+    whole, lucky = scores([made("whole", HARD)]), scores([made("lucky", HARD + 0.5)])
+    lucky = lucky[lucky["domain"].isin([f"meta-learning/{i:05d}" for i in easy])]  # it never met the hard ones
+    assert lucky["mse"].mean() < whole["mse"].mean()
+    assert list(ranks(pd.concat([whole, lucky]), "mse")["model"]) == ["whole", "lucky"]
+
+
+@pytest.mark.parametrize("suffix", ["svg", "pdf"])
+def test_pictures_of_vectors_are_the_same_bytes_twice(tmp_path: Path, suffix: str) -> None:
+    found = compare(scores([made("a", HARD - 1), made("b", HARD)]), "a", "b", task="meta", scale="mini")
+    paths = [tmp_path / f"{name}.{suffix}" for name in ("one", "two")]
+    for path in paths:
+        draw(found, path, title="meta", label="skill")
+    assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
