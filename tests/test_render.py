@@ -331,7 +331,7 @@ def test_films_hold_every_state_for_the_same_time(films: NDArray[np.uint8]) -> N
 @pytest.mark.parametrize("suffix", pictures.SUFFIXES)
 def test_the_same_frames_give_the_same_bytes(suffix: str, films: NDArray[np.uint8]) -> None:
     frames = list(films[:1] if suffix == ".png" else films)
-    assert pictures.encode(frames, suffix) == pictures.encode(frames, suffix)
+    assert len({pictures.encode(frames, suffix) for _ in range(50)}) == 1
 
 
 def test_depth_is_kept_in_tenths_of_a_millimetre_and_shown_on_one_scale() -> None:
