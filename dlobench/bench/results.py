@@ -36,13 +36,38 @@ class DomainScore(_Part):
     mse: float = Field(ge=0)  # m², per coordinate
     euclidean: float = Field(ge=0)  # m, per segment
     shape: float = Field(ge=0)  # m, root mean square over the segments of a window
-    euclidean_moving: float | None = Field(ge=0)  # m, over the windows that move; None where none does
-    body_position: float | None = Field(ge=0)  # m, per rigid body; None without bodies, or where none are predicted
-    body_yaw: float | None = Field(ge=0)  # rad
     persistence_mse: float = Field(ge=0)  # m²
     persistence_euclidean: float = Field(ge=0)  # m
     adapt_seconds: float = Field(ge=0)  # of one adaptation
     predict_seconds: float = Field(ge=0)  # of one query
+    euclidean_moving: float | None = Field(default=None, ge=0)  # m, over the windows that move; None where none does
+    body_position: float | None = Field(default=None, ge=0)  # m, per rigid body; None where none is, or is predicted
+    body_yaw: float | None = Field(default=None, ge=0)  # rad
+    # Of models applied to their own predictions: whether what they predict could be a DLO at all.
+    spacing: float | None = Field(default=None, ge=0)  # mean |distance of neighbours / segment length − 1|
+    overlap: float | None = Field(default=None, ge=0, le=1)  # share of windows in which the DLO lies in itself
+    # Of samples, against re-executions of the same commands. Fair scores may be negative.
+    energy: float | None = None  # m, of whole shapes
+    energy_floor: float | None = None  # m, of re-executions against others
+    persistence_energy: float | None = Field(default=None, ge=0)  # m
+    segment_energy: float | None = None  # m, of single segments
+    variogram: float | None = None  # m
+    crps: float | None = None  # m
+    mmd2: float | None = None  # None of a single sample, as what follows
+    coverage50: float | None = Field(default=None, ge=0, le=1)  # of what moves, by the central intervals
+    coverage90: float | None = Field(default=None, ge=0, le=1)
+    unmoved: float | None = Field(default=None, ge=0, le=1)  # share of segments that rest in truth and samples
+    ranks: list[int] | None = None  # how often the truth has its rank among the samples, in bins of equal width
+    shape_ranks: list[int] | None = None  # the same of whole shapes
+
+
+class Sample(_Part):
+    """Holds the scores of just those predictions that are kept beside the record."""
+
+    windows: int = Field(ge=1)
+    mse: float = Field(ge=0)  # m²
+    euclidean: float = Field(ge=0)  # m
+    energy: float | None = None  # m, where samples are scored
 
 
 class CellScore(_Part):
@@ -52,10 +77,13 @@ class CellScore(_Part):
     trajectories: int  # a training domain
     horizon: int
     K: int
+    without: str | None = None  # what training lacked and is tested on, where the task leaves something out
     mse: float = Field(ge=0)  # m², mean over domains
     euclidean: float = Field(ge=0)  # m, mean over domains
-    skill: float  # 1 − Σ mse / Σ persistence_mse
+    energy: float | None = None  # m, mean over domains, where samples are scored
+    skill: float  # 1 − Σ mse / Σ persistence_mse, or the same of the energy score where samples are scored
     domains: list[DomainScore]
+    sample: Sample | None = None
 
 
 class FitReport(_Part):
