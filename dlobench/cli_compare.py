@@ -22,8 +22,8 @@ def compare(
 ) -> None:
     """Compare two models on the same domains and seeds: mean difference A − B and its 95 % interval in every cell."""
     from dlobench.bench import compare as bench
-    from dlobench.bench.ranking import scores
     from dlobench.bench.results import read_all
+    from dlobench.bench.scores import scores
     from dlobench.console import print_table
 
     found = bench.compare(scores(read_all(results or COMMITTED_RESULTS)), a, b, task=task, scale=scale, metric=metric)

@@ -11,8 +11,10 @@ import pytest
 from test_results import record
 
 from dlobench.bench.compare import compare, draw
-from dlobench.bench.ranking import difference, places, ranks, score, scores, with_all
+from dlobench.bench.matrix import difference, score
+from dlobench.bench.ranking import places, ranks
 from dlobench.bench.results import DomainScore, Record, write
+from dlobench.bench.scores import scores, with_all
 from dlobench.cli import main
 from dlobench.errors import UsageError
 
@@ -72,7 +74,7 @@ def test_places_share_ties_and_ranks_have_intervals() -> None:
     alike = HARD + 0.4 * rng.normal(size=8)
     frame = scores([made("good", HARD), made("alike", alike), made("bad", HARD + 5)])
     table = places(frame)
-    assert list(table["place"]) == [1, 1, 3] and list(table["tie"]) == [False, True, False]
+    assert list(table["place"]) == [1, 1, 3] and list(table["tie"]) == ["below", "above", ""]
     assert table["model"].iloc[2] == "bad"
     ranked = ranks(frame).set_index("model")
     low, rank, high = (ranked[name].to_numpy(dtype=float) for name in ("low", "rank", "high"))

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from dlobench.bench.ranking import DIGESTS, SKILL, check_metric, difference
+from dlobench.bench.matrix import difference
+from dlobench.bench.scores import DIGESTS, SKILL, check_metric
 from dlobench.bench.statistics import Interval
 from dlobench.errors import RunError, UsageError
 

@@ -2,58 +2,145 @@
 
 from __future__ import annotations
 
+import json
+from collections import Counter
 from pathlib import Path
-from statistics import fmean
+from typing import Any
 
 import pandas as pd
 
+from dlobench.bench.matrix import Key, Matrix, grids, intervals_of
+from dlobench.bench.ranking import placed, ranked
 from dlobench.bench.results import Record
+from dlobench.bench.scores import SKILL, scores
 from dlobench.data.store import atomic_write
+from dlobench.errors import RunError, UsageError
 
-KEY = ["task", "task_version", "scale", "cell", "model", "config"]
-MEANS = ["skill", "mse_m2", "euclidean_m", "fit_s", "adapt_s", "predict_s"]
-COLUMNS = [*KEY, "seeds", *MEANS, "parameters", "trajectories", "horizon", "K", "domains", "data", "split"]
+EQUAL_SECONDS = {"mini": 30, "small": 300, "paper": 3600}  # of each fit: what `--max-minutes` 0.5, 5 and 60 keep to
+LATE = 1.1  # times that, which pass: a model looks at the clock between steps, and has data to prepare
+
+GROUP = ["task", "task_version", "scale", "data", "split"]  # only what was scored on the same is ever compared
+ROW = [*GROUP, "cell", "model", "config"]
+SWEEP = ["trajectories", "horizon", "K", "without"]
+MEANS = {
+    "euclidean": "euclidean_m",
+    "energy": "energy_m",
+    "spacing": "spacing",
+    "overlap": "overlap",
+    "coverage90": "coverage90",
+    "adapt_seconds": "adapt_s",
+    "predict_seconds": "predict_s",
+}
+COLUMNS = [
+    "task", "task_version", "scale", "cell", "model", "config", "seeds", "place", "tie",
+    "skill", "skill_low", "skill_high", "mse_m2", "mse_low", "mse_high", "euclidean_m", "energy_m",
+    "spacing", "overlap", "coverage90", "fit_s", "adapt_s", "predict_s", "skill_equal_time", "parameters",
+    "trajectories", "horizon", "K", "without", "domains", "rank", "rank_low", "rank_high", "data", "split",
+]  # fmt: skip
 
 
 def table(records: list[Record]) -> pd.DataFrame:
-    """Returns one row a cell and configuration: means over seeds, best first within a cell."""
-    rows = [
-        {
-            "task": record.task,
-            "task_version": record.task_version,
-            "scale": record.scale,
-            "cell": cell.id,
-            "model": record.model,
-            "config": record.config,
-            "seeds": record.seed,
-            "skill": cell.skill,
-            "mse_m2": cell.mse,
-            "euclidean_m": cell.euclidean,
-            "fit_s": sum(
-                f.seconds for f in record.fits if (f.trajectories, f.horizon) == (cell.trajectories, cell.horizon)
-            ),
-            "adapt_s": fmean(score.adapt_seconds for score in cell.domains),
-            "predict_s": fmean(score.predict_seconds for score in cell.domains),
-            "parameters": record.parameters,
-            "trajectories": cell.trajectories,
-            "horizon": cell.horizon,
-            "K": cell.K,
-            "domains": len(cell.domains),
-            "data": record.provenance.data_sha256[:8],
-            "split": record.provenance.split_sha256[:8],
-        }
-        for record in records
-        for cell in record.cells
-    ]
-    frame = pd.DataFrame(rows, columns=COLUMNS)
-    how = {column: "mean" if column in MEANS else "first" for column in COLUMNS if column not in KEY} | {
-        "seeds": "nunique"
-    }
-    grouped = frame.groupby(KEY, as_index=False, sort=True).agg(how)[COLUMNS]
-    order = ["task", "task_version", "scale", "trajectories", "horizon", "K", "cell", "mse_m2", "model", "config"]
-    return grouped.sort_values(order, ignore_index=True, kind="stable")
+    """Returns one row a cell and configuration, best first within a cell; what a row has not is NaN, or "" of a word.
+
+    A configuration is a competitor, and only those over the same data and split meet. Numbers are over the domains that
+    every seed has: skill and MSE with intervals at 95 %, places with ties within a cell, ranks over the cells of a task
+    and scale (`ranking.placed` and `ranked`), means of the rest. Raises `RunError` for two records of the same seed,
+    and for records that cannot be placed together.
+    """
+    _check_seeds(records)
+    records = sorted(records, key=lambda record: record.seed)  # so that means add up in one order
+    rows = pd.DataFrame([row for record in records for row in _rows(record)], columns=[*ROW, *SWEEP, *_FACTS])
+    if rows.empty:
+        return pd.DataFrame(columns=COLUMNS)
+    out = rows.groupby(ROW).agg(dict.fromkeys(SWEEP, "first") | _FACTS).reset_index()
+    out = out.merge(_statistics(scores(records)), on=ROW, validate="one_to_one")
+    out["skill_equal_time"] = _equal_time(out)
+    out = out.sort_values([*GROUP, *SWEEP, "cell", "order"], ignore_index=True, kind="stable")
+    return out.assign(data=out["data"].str[:8], split=out["split"].str[:8]).reindex(columns=COLUMNS)
 
 
 def write(frame: pd.DataFrame, path: Path) -> None:
     """Writes the table as CSV, whole or not at all."""
     atomic_write(path, frame.to_csv(index=False, float_format="%.9g", lineterminator="\n").encode())
+
+
+# How the facts of a record become those of a row, over its seeds
+_FACTS = {"seeds": "nunique", "fit_s": "mean", "longest": "max", "parameters": "max", "family": "first"}
+
+
+def _check_seeds(records: list[Record]) -> None:
+    times = Counter(record.path(Path()) for record in records)
+    if twice := sorted(str(path) for path, count in times.items() if count > 1):
+        raise RunError(f"there are several records of {twice[0]}: a seed counts once")
+
+
+def _rows(record: Record) -> list[dict[str, Any]]:
+    """Returns what a record says of its cells, scores apart."""
+    about = record.provenance
+    of_record = {
+        "task": record.task,
+        "task_version": record.task_version,
+        "scale": record.scale,
+        "data": about.data_sha256,
+        "split": about.split_sha256,
+        "model": record.model,
+        "config": record.config,
+        "seeds": record.seed,
+        "parameters": record.parameters,
+        "family": json.dumps([about.plugin_sha256, about.hyperparameters, about.K, about.device], sort_keys=True),
+    }
+    fits: dict[tuple[int, str | None], dict[int, list[float]]] = {}
+    for fit in record.fits:
+        there = fits.setdefault((fit.trajectories, getattr(fit, "without", None)), {})
+        there.setdefault(fit.horizon, []).append(fit.seconds)
+    out = []
+    for cell in record.cells:
+        of_cell = {name: getattr(cell, name) for name in SWEEP} | {"without": cell.without or "", "cell": cell.id}
+        there = fits.get((cell.trajectories, cell.without), {})
+        # What is applied to its own predictions looks less far ahead than its cell
+        seconds = there.get(cell.horizon) or [each for found in there.values() for each in found]
+        out.append(of_record | of_cell | {"fit_s": sum(seconds), "longest": max(seconds, default=0.0)})
+    return out
+
+
+def _statistics(frame: pd.DataFrame) -> pd.DataFrame:
+    """Returns the scores of each row, over the domains that all of its seeds have, and its order within its cell."""
+    have = frame.groupby([*ROW, "domain"])["seed"].transform("size")
+    frame = frame[have == frame.groupby(ROW)["seed"].transform("nunique")]
+    cells, groups = dict[Key, dict[Key, Matrix]](), dict[Key, dict[Key, Matrix]]()
+    out = dict[Key, dict[Any, Any]]()
+    where: Key = ()
+    try:
+        for (*group, cell, model, config), one in grids(frame, SKILL, ROW).items():
+            cells.setdefault((*group, cell), {})[model, config] = one
+            groups.setdefault((*group,), {})[model, config, cell] = one
+        for where, of in cells.items():
+            for order, row in enumerate(placed(of).to_dict("records")):
+                key = (*where, row.pop("model"), row.pop("config"))
+                out[key] = {**row, "order": order}
+        for where, of in groups.items():
+            ranking = ranked(of).set_index(["model", "config"])[["rank", "low", "high"]].to_dict("index")
+            for model, config, cell in of:
+                found = ranking.get((model, config), {})
+                out[*where, cell, model, config] |= {f"rank_{name}": value for name, value in found.items()}
+    except UsageError as error:
+        raise RunError(f"no board can be made of the records of {' '.join(where[:3])}: {error}") from error
+    errors = grids(frame, "mse", ROW)
+    for key, each in zip(errors, intervals_of(list(errors.values())), strict=True):
+        out[key] |= {"mse_m2": each.estimate, "mse_low": each.low, "mse_high": each.high, "domains": each.domains}
+    names = {"estimate": "skill", "low": "skill_low", "high": "skill_high", "rank_rank": "rank"}
+    table = pd.DataFrame(list(out), columns=ROW).astype({"task_version": int}).join(pd.DataFrame(list(out.values())))
+    means = frame.groupby(ROW)[[name for name in MEANS if name in frame]].mean().reset_index()
+    return table.rename(columns=names).merge(means.rename(columns=MEANS), on=ROW, validate="one_to_one")
+
+
+def _equal_time(rows: pd.DataFrame) -> Any:
+    """Returns, for each row, the skill of the same model when none of its fits may take long, NaN where none is there.
+
+    The same model is the same plugin, hyperparameters, K and device, so that its configurations differ in their budget;
+    of those all of whose fits, of all seeds, kept within `EQUAL_SECONDS` it is the one that was trained longest.
+    """
+    kept = rows[rows["longest"] <= LATE * rows["scale"].map(EQUAL_SECONDS)]
+    family = [*GROUP, "cell", "model", "family"]
+    chosen = kept.sort_values(["fit_s", "config"], kind="stable").groupby(family)["skill"].last()
+    return rows[family].join(chosen, on=family)["skill"].to_numpy()

@@ -62,25 +62,26 @@ def counts(kind: str, names: tuple[str, ...]) -> Array:
     return out
 
 
-def spread(values: Array, weights: Array) -> tuple[float, float]:
-    """Returns the standard error of Σv / Σw, both (S, D) with D ≥ 2, and its degrees of freedom.
+def spread(values: Array, weights: Array) -> tuple[Array, Array]:
+    """Returns the standard error of Σv / Σw, both (…, S, D) with D ≥ 2, and its degrees of freedom, (…,).
 
     A component of variance that would be negative is taken for 0. With one seed it is that over domains alone.
     """
-    S, D = values.shape
-    z = (values - values.sum() / weights.sum() * weights) / weights.mean()
-    of_domain = S * z.mean(axis=0).var(ddof=1)
+    S, D = values.shape[-2:]
+    both, few = (-2, -1), float(min(S, D) - 1)
+    ratio = values.sum(axis=both, keepdims=True) / weights.sum(axis=both, keepdims=True)
+    z = (values - ratio * weights) / weights.mean(axis=both, keepdims=True)
+    of_domain: Array = S * z.mean(axis=-2).var(axis=-1, ddof=1)
     if S == 1:
-        return float(np.sqrt(of_domain / D)), float(D - 1)
-    of_seed = D * z.mean(axis=1).var(ddof=1)
-    rest = z - z.mean(axis=0) - z.mean(axis=1, keepdims=True) + z.mean()
-    residual = np.square(rest).sum() / ((S - 1) * (D - 1))
-    of_seed, of_domain = max(of_seed, residual), max(of_domain, residual)
-    total = of_seed + of_domain - residual
-    if total <= 0:
-        return 0.0, float(min(S, D) - 1)
-    freedom = total**2 / (of_seed**2 / (S - 1) + of_domain**2 / (D - 1))
-    return float(np.sqrt(total / (S * D))), float(max(freedom, min(S, D) - 1))
+        return np.sqrt(of_domain / D), np.full_like(of_domain, D - 1)
+    of_seed = D * z.mean(axis=-1).var(axis=-1, ddof=1)
+    rest = z - z.mean(axis=-2, keepdims=True) - z.mean(axis=-1, keepdims=True) + z.mean(axis=both, keepdims=True)
+    residual = np.square(rest).sum(axis=both) / ((S - 1) * (D - 1))
+    of_seed, of_domain = np.maximum(of_seed, residual), np.maximum(of_domain, residual)
+    total = np.maximum(of_seed + of_domain - residual, 0)
+    parts = of_seed**2 / (S - 1) + of_domain**2 / (D - 1)
+    freedom = np.divide(total**2, parts, out=np.full_like(total, few), where=total > 0)
+    return np.sqrt(total / (S * D)), np.maximum(freedom, few)
 
 
 def interval(values: Array, weights: Array, seeds: tuple[str, ...], domains: tuple[str, ...]) -> Interval:
@@ -88,35 +89,52 @@ def interval(values: Array, weights: Array, seeds: tuple[str, ...], domains: tup
 
     Raises `UsageError` for other shapes, values that are not finite, and weights that add up to nothing.
     """
-    if values.shape != (len(seeds), len(domains)) or weights.shape != values.shape or not values.size:
-        raise UsageError(f"values of {values.shape} are not those of {len(seeds)} seeds and {len(domains)} domains")
-    if not (np.isfinite(values).all() and np.isfinite(weights).all()) or weights.sum() <= 0:
+    return intervals(values[None], weights[None], seeds, domains)[0]
+
+
+def intervals(values: Array, weights: Array, seeds: tuple[str, ...], domains: tuple[str, ...]) -> list[Interval]:
+    """Returns the `interval` of each of N statistics over the same seeds and domains, (N, S, D), at once."""
+    S, D = len(seeds), len(domains)
+    if values.shape[1:] != (S, D) or weights.shape != values.shape or not values.size:
+        raise UsageError(f"values of {values.shape[1:]} are not those of {S} seeds and {D} domains")
+    total = weights.sum(axis=(1, 2))
+    if not (np.isfinite(values).all() and np.isfinite(weights).all()) or (total <= 0).any():
         raise UsageError("scores that are not finite, or skill where nothing moves, have no interval")
     from scipy.special import stdtrit
 
-    estimate = float(values.sum() / weights.sum())
-    if len(domains) < 2:
-        return Interval(estimate, None, None, len(domains), len(seeds))
+    estimate = values.sum(axis=(1, 2)) / total
+    if D < 2:
+        return [Interval(float(each), None, None, D, S) for each in estimate]
     error, freedom = spread(values, weights)
-    half = float(stdtrit(freedom, (1 + LEVEL) / 2)) * error
+    half = stdtrit(freedom, (1 + LEVEL) / 2) * error
     low, high = estimate - half, estimate + half
-    if len(seeds) >= FEW and half > 0:
-        drawn = resampled(values, weights, seeds, domains)
-        ends = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-        if ends[0] < estimate < ends[1]:
-            below, above = (ends - estimate) * (2 * half / (ends[1] - ends[0]))
-            low, high = float(estimate + below), float(estimate + above)
-    return Interval(estimate, low, high, len(domains), len(seeds))
+    if S >= FEW:
+        tails = [(1 - LEVEL) / 2, (1 + LEVEL) / 2]
+        below, above = np.quantile(resampled(values, weights, seeds, domains), tails, axis=-1) - estimate
+        skewed = (half > 0) & (below < 0) & (above > 0)
+        stretch = np.divide(2 * half, above - below, out=np.zeros_like(half), where=skewed)
+        low = np.where(skewed, estimate + below * stretch, low)
+        high = np.where(skewed, estimate + above * stretch, high)
+    ends = zip(estimate.tolist(), low.tolist(), high.tolist(), strict=True)
+    return [Interval(e, lower, upper, D, S) for e, lower, upper in ends]
 
 
 def resampled(values: Array, weights: Array, seeds: tuple[str, ...], domains: tuple[str, ...]) -> Array:
-    """Returns Σv / Σw of every resampling, (DRAWS,): seeds and domains are drawn independently of each other.
+    """Returns Σv / Σw of every resampling, (…, DRAWS): seeds and domains are drawn independently of each other.
 
-    The same names are drawn alike wherever they occur, so that models over the same domains are resampled together.
+    Values and weights are (…, S, D). The same names are drawn alike wherever they occur, so that models over the same
+    domains are resampled together.
     """
     of_seeds, of_domains = counts("seeds", seeds), counts("domains", domains)
-    above = np.einsum("rd,rd->r", of_seeds @ values, of_domains)
-    below = np.einsum("rd,rd->r", of_seeds @ weights, of_domains)
-    whole = np.full(len(above), float(values.sum() / weights.sum()))
-    drawn: Array = np.divide(above, below, out=whole, where=below > 0)
+
+    def sums(of: Array) -> Array:
+        by_seed = (of.reshape(-1, len(domains)) @ of_domains.T).reshape(*of.shape[:-1], DRAWS)
+        out: Array = np.einsum("...sr,rs->...r", by_seed, of_seeds)
+        return out
+
+    alike = weights[(0,) * (weights.ndim - 2)]  # of all that stand still for the same time: summed once
+    below = sums(alike if (weights == alike).all() else weights)
+    whole = (values.sum(axis=(-2, -1)) / weights.sum(axis=(-2, -1)))[..., None]
+    above = sums(values)
+    drawn: Array = np.divide(above, below, out=np.broadcast_to(whole, above.shape).copy(), where=below > 0)
     return drawn
