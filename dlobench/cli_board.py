@@ -36,20 +36,29 @@ def show(frame: Any) -> None:
     """Prints the rows of a leaderboard that matter to who has just run something."""
     from dlobench.console import print_table
 
-    header = ["cell", "scale", "model", "config", "seeds", "skill", "MSE 1e-4 m²", "error mm", "parameters", "fit s"]
+    sampled = frame["energy_m"].notna().any()
+    header = ["cell", "place", "model", "config", "seeds", "skill", "95 %", "MSE 1e-4 m²"]
+    header += ["energy mm" if sampled else "error mm", "parameters", "fit s"]
     rows = [
         [
             row.cell,
-            row.scale,
+            f"{row.place}{'≈' if row.tie else ''}",
             row.model,
             row.config,
             str(row.seeds),
-            f"{round(row.skill, 3) + 0.0:.3f}",  # never -0.000
+            _shown(row.skill),
+            "–" if row.skill_low != row.skill_low else f"{_shown(row.skill_low)} to {_shown(row.skill_high)}",
             f"{row.mse_m2 * 1e4:.3f}",
-            f"{row.euclidean_m * 1e3:.2f}",
+            f"{(row.energy_m if sampled else row.euclidean_m) * 1e3:.2f}",
             f"{row.parameters:,}",
             f"{row.fit_s:.1f}",
         ]
         for row in frame.itertuples()
     ]
     print_table(header, rows)
+    if any(row.tie for row in frame.itertuples()):
+        typer.echo("≈ ties with a neighbour: the 95 % interval of their difference holds 0, or there is none")
+
+
+def _shown(skill: float) -> str:
+    return f"{round(skill, 3) + 0.0:.3f}"  # never -0.000

@@ -17,6 +17,7 @@ from dlobench.data.store import atomic_write
 from dlobench.errors import RunError, UsageError
 
 EQUAL_SECONDS = {"mini": 30, "small": 300, "paper": 3600}  # of each fit: what `--max-minutes` 0.5, 5 and 60 keep to
+DIGITS = 12  # of a skill, which may be 0 but for rounding
 LATE = 1.1  # times that, which pass: a model looks at the clock between steps, and has data to prepare
 
 GROUP = ["task", "task_version", "scale", "data", "split"]  # only what was scored on the same is ever compared
@@ -129,9 +130,12 @@ def _statistics(frame: pd.DataFrame) -> pd.DataFrame:
     for key, each in zip(errors, intervals_of(list(errors.values())), strict=True):
         out[key] |= {"mse_m2": each.estimate, "mse_low": each.low, "mse_high": each.high, "domains": each.domains}
     names = {"estimate": "skill", "low": "skill_low", "high": "skill_high", "rank_rank": "rank"}
-    table = pd.DataFrame(list(out), columns=ROW).astype({"task_version": int}).join(pd.DataFrame(list(out.values())))
+    values = pd.DataFrame(list(out.values())).rename(columns=names)
+    skills = [name for name in values if name.startswith("skill")]
+    values[skills] = values[skills].round(DIGITS) + 0.0  # -0.0 is 0
+    table = pd.DataFrame(list(out), columns=ROW).astype({"task_version": int}).join(values)
     means = frame.groupby(ROW)[[name for name in MEANS if name in frame]].mean().reset_index()
-    return table.rename(columns=names).merge(means.rename(columns=MEANS), on=ROW, validate="one_to_one")
+    return table.merge(means.rename(columns=MEANS), on=ROW, validate="one_to_one")
 
 
 def _equal_time(rows: pd.DataFrame) -> Any:
