@@ -37,17 +37,16 @@ def show(frame: Any) -> None:
     from dlobench.console import print_table
 
     sampled = frame["energy_m"].notna().any()
-    header = ["cell", "place", "model", "config", "seeds", "skill", "95 %", "MSE 1e-4 m²"]
+    header = ["cell", "place", "model@config", "seeds", "skill", "95 %", "MSE cm²"]
     header += ["energy mm" if sampled else "error mm", "parameters", "fit s"]
     rows = [
         [
             row.cell,
             f"{row.place}{'≈' if row.tie else ''}",
-            row.model,
-            row.config,
+            f"{row.model}@{row.config}",  # what `compare` takes
             str(row.seeds),
             _shown(row.skill),
-            "–" if row.skill_low != row.skill_low else f"{_shown(row.skill_low)} to {_shown(row.skill_high)}",
+            "–" if row.skill_low != row.skill_low else f"{_shown(row.skill_low)}…{_shown(row.skill_high)}",
             f"{row.mse_m2 * 1e4:.3f}",
             f"{(row.energy_m if sampled else row.euclidean_m) * 1e3:.2f}",
             f"{row.parameters:,}",

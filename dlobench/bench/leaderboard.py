@@ -48,13 +48,15 @@ def table(records: list[Record]) -> pd.DataFrame:
     and scale (`ranking.placed` and `ranked`), means of the rest. Raises `RunError` for two records of the same seed,
     and for records that cannot be placed together.
     """
-    _check_seeds(records)
+    _check(records)
     records = sorted(records, key=lambda record: record.seed)  # so that means add up in one order
     rows = pd.DataFrame([row for record in records for row in _rows(record)], columns=[*ROW, *SWEEP, *_FACTS])
     if rows.empty:
         return pd.DataFrame(columns=COLUMNS)
     out = rows.groupby(ROW).agg(dict.fromkeys(SWEEP, "first") | _FACTS).reset_index()
-    out = out.merge(_statistics(scores(records)), on=ROW, validate="one_to_one")
+    out = out.merge(_statistics(scores(records)), on=ROW, how="left", validate="one_to_one")
+    if not (bare := out[out["skill"].isna()]).empty:
+        raise RunError("no domain of {} was scored with every seed of {}@{}".format(*bare[ROW[-3:]].iloc[0]))
     out["skill_equal_time"] = _equal_time(out)
     out = out.sort_values([*GROUP, *SWEEP, "cell", "order"], ignore_index=True, kind="stable")
     return out.assign(data=out["data"].str[:8], split=out["split"].str[:8]).reindex(columns=COLUMNS)
@@ -69,7 +71,10 @@ def write(frame: pd.DataFrame, path: Path) -> None:
 _FACTS = {"seeds": "nunique", "fit_s": "mean", "longest": "max", "parameters": "max", "family": "first"}
 
 
-def _check_seeds(records: list[Record]) -> None:
+def _check(records: list[Record]) -> None:
+    for record in records:
+        if empty := [cell.id for cell in record.cells if not cell.domains]:
+            raise RunError(f"{record.path(Path())} has no domain in {empty[0]}: run it again")
     times = Counter(record.path(Path()) for record in records)
     if twice := sorted(str(path) for path, count in times.items() if count > 1):
         raise RunError(f"there are several records of {twice[0]}: a seed counts once")
@@ -130,8 +135,8 @@ def _statistics(frame: pd.DataFrame) -> pd.DataFrame:
     for key, each in zip(errors, intervals_of(list(errors.values())), strict=True):
         out[key] |= {"mse_m2": each.estimate, "mse_low": each.low, "mse_high": each.high, "domains": each.domains}
     names = {"estimate": "skill", "low": "skill_low", "high": "skill_high", "rank_rank": "rank"}
-    values = pd.DataFrame(list(out.values())).rename(columns=names)
-    skills = [name for name in values if name.startswith("skill")]
+    values = pd.DataFrame(list(out.values())).rename(columns=names).astype({"mse_low": float, "mse_high": float})
+    skills = ["skill", "skill_low", "skill_high"]
     values[skills] = values[skills].round(DIGITS) + 0.0  # -0.0 is 0
     table = pd.DataFrame(list(out), columns=ROW).astype({"task_version": int}).join(values)
     means = frame.groupby(ROW)[[name for name in MEANS if name in frame]].mean().reset_index()

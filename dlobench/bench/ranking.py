@@ -72,8 +72,9 @@ def ranks(frame: pd.DataFrame, metric: str = SKILL) -> pd.DataFrame:
     The cells that count are those of the models that have most of them, so that a model run elsewhere puts no one else
     out; a model that lacks one of them is missing. A cell counts over the domains that all seeds of all models have.
     All are resampled together, domains and seeds as in `resampled`, and equal means share the mean rank. With one seed
-    the interval is over domains alone, and the few seeds of a bootstrap make it rather narrow. Raises `UsageError`
-    where a cell was scored on several data or splits or differently, or no domain is common to all.
+    the interval is over domains alone, and the few seeds of a bootstrap make it rather narrow; one domain says nothing
+    of others, and the interval is NaN. Raises `UsageError` where a cell was scored on several data or splits or
+    differently, or no domain is common to all.
     """
     if (frame.groupby("cell")[DIGESTS].nunique() > 1).any(axis=None):
         raise UsageError("the records of a cell were scored on different data or splits: rank those of one alone")
@@ -92,13 +93,14 @@ def ranked(of: Mapping[Key, Matrix], *, lower: bool = False) -> pd.DataFrame:
     models = sorted(key for key, found in have.items() if found.issuperset(cells))
     if not models:
         return pd.DataFrame(columns=["model", "config", "mean", "rank", "low", "high"])
-    means, draws = np.zeros(len(models)), np.zeros((DRAWS, len(models)))
+    means, draws, known = np.zeros(len(models)), np.zeros((DRAWS, len(models))), True
     for cell in cells:
         parts = {key: of[*key, cell] for key in models}
         check_alike(parts)
         common = sorted(set.intersection(*(set(whole) for whole in {part.whole for part in parts.values()})))
         if not common:
             raise UsageError(f"no domain of {cell} is common to all models with every cell")
+        known = known and len(common) > 1
         alike: dict[tuple[str, ...], list[int]] = {}  # by their seeds
         for i, part in enumerate(parts.values()):
             alike.setdefault(part.seeds, []).append(i)
@@ -111,6 +113,6 @@ def ranked(of: Mapping[Key, Matrix], *, lower: bool = False) -> pd.DataFrame:
     rank = rankdata(sign * means)
     tail = (1 - LEVEL) / 2
     low, high = np.quantile(rankdata(sign * draws, axis=1), [tail, 1 - tail], axis=0)
-    out = pd.DataFrame(models, columns=["model", "config"])
-    out = out.assign(mean=means, rank=rank, low=np.minimum(low, rank), high=np.maximum(high, rank))
+    low, high = (np.minimum(low, rank), np.maximum(high, rank)) if known else np.full((2, len(models)), np.nan)
+    out = pd.DataFrame(models, columns=["model", "config"]).assign(mean=means, rank=rank, low=low, high=high)
     return out.sort_values(["rank", "model", "config"], ignore_index=True)
