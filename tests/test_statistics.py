@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dlobench.bench.statistics import FEW, Interval, counts, generator, interval, resampled, spread
+from dlobench.bench.statistics import FEW, Interval, counts, generator, interval, intervals, resampled, spread
 from dlobench.errors import UsageError
 
 
@@ -129,3 +129,26 @@ def test_ties_are_intervals_that_hold_zero() -> None:
 def test_what_has_no_interval_is_refused(values: np.ndarray, weights: np.ndarray) -> None:
     with pytest.raises(UsageError):
         interval(values, weights, ("0", "1"), ("a", "b", "c"))
+
+
+@given(S=st.integers(1, 7), D=st.integers(1, 9), seed=st.integers(0, 99), alike=st.booleans())
+@settings(max_examples=25, deadline=None)
+def test_many_at_once_are_each_alone(S: int, D: int, seed: int, alike: bool) -> None:
+    rng = np.random.default_rng(seed)
+    values = rng.normal(size=(4, S, D))
+    weights = np.broadcast_to(rng.uniform(1, 2, size=D), values.shape) if alike else rng.uniform(1, 2, size=(4, S, D))
+    values[1] = 2 * weights[1]  # no spread
+    together = intervals(values, weights, names("s", S), names("d", D))
+    for one, each, weight in zip(together, values, weights, strict=True):
+        alone = interval(each, weight, names("s", S), names("d", D))
+        for field in ("estimate", "low", "high"):
+            assert getattr(one, field) == pytest.approx(getattr(alone, field), abs=1e-12)
+        assert (one.domains, one.seeds) == (D, S)
+        drawn = [(each * w).sum() / (weight * w).sum() for w in outer_counts(S, D)]
+        assert resampled(each, weight, names("s", S), names("d", D))[: len(drawn)] == pytest.approx(drawn)
+
+
+def outer_counts(S: int, D: int) -> list[np.ndarray]:
+    """Returns how often each pair of a seed and a domain is drawn, of the first resamplings."""
+    of_seeds, of_domains = counts("seeds", names("s", S)), counts("domains", names("d", D))
+    return [np.outer(of_seeds[r], of_domains[r]) for r in range(5)]
