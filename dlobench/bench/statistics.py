@@ -27,6 +27,7 @@ from dlobench.errors import UsageError
 LEVEL = 0.95
 FEW = 5  # seeds, below which the interval is Student's
 DRAWS = 2000  # of the bootstrap
+PIECE = 250  # of them are multiplied at a time: a product so small is left to one thread, whatever else runs
 
 Array = NDArray[np.float64]
 
@@ -125,12 +126,14 @@ def resampled(values: Array, weights: Array, seeds: tuple[str, ...], domains: tu
     Values and weights are (…, S, D). The same names are drawn alike wherever they occur, so that models over the same
     domains are resampled together.
     """
-    of_seeds, of_domains = counts("seeds", seeds), counts("domains", domains)
+    S, D = len(seeds), len(domains)
+    of_seeds = counts("seeds", seeds).reshape(-1, PIECE, S)
+    of_domains = counts("domains", domains).reshape(-1, PIECE, D).transpose(0, 2, 1)
 
     def sums(of: Array) -> Array:
-        by_seed = (of.reshape(-1, len(domains)) @ of_domains.T).reshape(*of.shape[:-1], DRAWS)
-        out: Array = np.einsum("...sr,rs->...r", by_seed, of_seeds)
-        return out
+        by_seed = of.reshape(-1, 1, S, D) @ of_domains
+        out: Array = np.einsum("npsr,prs->npr", by_seed, of_seeds)
+        return out.reshape(*of.shape[:-2], DRAWS)
 
     alike = weights[(0,) * (weights.ndim - 2)]  # of all that stand still for the same time: summed once
     below = sums(alike if (weights == alike).all() else weights)
