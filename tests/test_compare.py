@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import rankdata
 from test_results import record
 
 from dlobench.bench.compare import compare, draw
 from dlobench.bench.matrix import difference, score
-from dlobench.bench.ranking import places, ranks
-from dlobench.bench.results import DomainScore, Record, write
+from dlobench.bench.ranking import mean_ranks, places, ranks
+from dlobench.bench.record import DomainScore, Record
+from dlobench.bench.results import write
 from dlobench.bench.scores import scores, with_all
 from dlobench.cli import main
 from dlobench.errors import UsageError
@@ -81,6 +83,11 @@ def test_places_share_ties_and_ranks_have_intervals() -> None:
     assert list(ranked.index)[-1] == "bad" and low[-1] == rank[-1] == high[-1] == 3
     assert (low <= rank).all() and (rank <= high).all()
     pd.testing.assert_frame_equal(ranks(frame), ranks(frame))
+
+
+def test_mean_ranks_are_those_of_scipy() -> None:
+    values = np.random.default_rng(0).integers(0, 5, size=(50, 7)).astype(float)
+    assert np.array_equal(mean_ranks(values), rankdata(values, axis=1))
 
 
 def test_models_that_lack_a_cell_are_not_ranked() -> None:
