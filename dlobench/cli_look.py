@@ -27,21 +27,21 @@ def list_tasks(as_json: Json = False) -> None:
     for name, found in find("tasks").items():
         task = load_task(name)
         for scale in SCALES:
-            spans = [span for of_part in task.spans(scale).values() for span in of_part]
+            spans = task.spans(scale)
             chosen, fits = task.scale(scale), task.fits(scale)
             rows.append(
                 {
                     "task": name,
                     "about": found.about,
                     "scale": scale,
-                    "set": task.set,
-                    "domains": len({span.domain for span in spans}),
-                    "pushes": task.of.total(spans),
+                    "set": " ".join(filter(None, [task.set, task.futures])),
+                    "domains": len({span.domain for members in spans.values() for span in members}),
+                    "pushes": sum(task.set_of(part).total(members) for part, members in spans.items()),
                     "fits": len(fits),
                     "trajectories": list(chosen.trajectories),
                     "horizon": list(task.horizon),
                     "K": list(chosen.K),
-                    "cells": list(dict.fromkeys(task.cell_id(fit, K) for fit in fits for K in chosen.K)),
+                    "cells": task.cells(scale),
                 }
             )
     columns = ["task", "scale", "set", "domains", "pushes", "fits", "trajectories", "horizon", "K"]

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from dlobench.bench.results import Record, read_all
+from dlobench.bench.record import Record
+from dlobench.bench.results import read_all
 
 ROOT = Path(__file__).parents[1]
 

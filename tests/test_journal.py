@@ -6,17 +6,19 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
+import numpy as np
 import pytest
 from test_store import write
 
 from dlobench.bench import results
 from dlobench.bench import run as bench
 from dlobench.bench.journal import Finished, Journal
+from dlobench.bench.kept import Kept
 from dlobench.bench.order import Order, order
 from dlobench.bench.plugins import load_model, load_task
-from dlobench.bench.results import FitReport, Record
+from dlobench.bench.record import FitReport, Record
 from dlobench.bench.task import Scale, Task
 from dlobench.data.domain_set import PARTS
 from dlobench.data.executors import find_executor
@@ -89,7 +91,7 @@ def ordered(folder: Path, fail: int = -1) -> Order:
     return order(TASK, "mini", load_model(str(plugin)), None, None, settings=settings)
 
 
-def run(wanted: Order, store: Store, out: Path, **how: bool) -> Record:
+def run(wanted: Order, store: Store, out: Path, **how: Any) -> Record:
     """Runs an order."""
     executor = find_executor("local", workers=1)
     return bench.run(wanted, store, out, command="dlobench run", executor=executor, reporter=Quiet(), **how)
@@ -119,7 +121,7 @@ def test_a_run_that_ended_early_goes_on_with_the_next_fit(data: Store, tmp_path:
         run(wanted, data, out)
     assert len(fits(tmp_path)) == 4
     assert results.read_all(out) == [], "what is not finished is no record"
-    (journal,) = out.rglob(".seed0.jsonl")
+    (journal,) = out.rglob("fits.jsonl")
     journal.write_bytes(journal.read_bytes() + b'{"fit": {"trajec')  # as a kill in the middle of a write leaves it
     record = run(wanted, data, out)
     assert len(fits(tmp_path)) == 4 + 5, "three of eight were finished"
@@ -160,23 +162,31 @@ def test_forcing_forgets_what_was_finished(data: Store, tmp_path: Path) -> None:
 def finished(horizon: int) -> Finished:
     """Makes an entry."""
     return Finished(
-        fit=FitReport(trajectories=1, horizon=horizon, seconds=1.0, curve=[]), parameters=3, seconds=2.0, scores={0: []}
+        fit=FitReport(trajectories=1, horizon=horizon, seconds=1.0, curve=[]), parameters=3, seconds=2.0, scores=[]
     )
+
+
+def kept(horizon: int) -> Kept:
+    """Makes two windows."""
+    rng = np.random.default_rng(horizon)
+    mask = np.arange(32) < 20
+    dlo = np.where(mask[:, None], rng.normal(size=(1, 2, 32, 2)), 0).astype(np.float32)
+    return Kept(f"toy/h{horizon}", "toy/00001", np.array([3, 9], np.int32), mask, dlo[0] + mask[:, None], dlo * 2, dlo)
 
 
 def test_a_cut_line_is_written_over_and_an_odd_one_is_refused(tmp_path: Path) -> None:
     journal = Journal.beside(tmp_path / "new" / "seed7.json")
     assert journal.read() == {}
     for horizon in (1, 2):
-        journal.append(finished(horizon))
-    assert journal.path.name == ".seed7.jsonl"
+        journal.append(finished(horizon), f"h{horizon}", [kept(horizon)])
+    assert journal.folder.name == ".seed7"
     whole = journal.path.read_bytes()
     journal.path.write_bytes(whole[:-9])
-    assert list(journal.read()) == [(1, 1, None)]
-    journal.append(finished(2))
+    assert list(journal.read()) == [(1, 1, None, None)]
+    journal.append(finished(2), "h2", [kept(2)])
     assert journal.path.read_bytes() == whole
     journal.path.write_bytes(b"odd\n" + whole)
-    with pytest.raises(RunError, match=r"line 1 of .*seed7.jsonl is no finished fit; remove the file"):
+    with pytest.raises(RunError, match=r"line 1 of .*fits.jsonl is no finished fit; remove the file"):
         journal.read()
     journal.remove()
     journal.remove()

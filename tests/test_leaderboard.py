@@ -17,7 +17,7 @@ from test_results import record
 
 from dlobench.bench import leaderboard, results
 from dlobench.bench.ranking import places, ranks
-from dlobench.bench.results import FitReport, Record
+from dlobench.bench.record import FitReport, Record
 from dlobench.bench.scores import scores as tidy
 from dlobench.cli_board import show
 from dlobench.errors import RunError

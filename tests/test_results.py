@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from dlobench.bench.results import CellScore, DomainScore, FitReport, Provenance, Record, read, read_all, write
+from dlobench.bench.record import CellScore, DomainScore, FitReport, Provenance, Record
+from dlobench.bench.results import read, read_all, write
 from dlobench.errors import RunError
 
 

@@ -133,7 +133,12 @@ def test_a_task_fits_into_its_set(path: Path, scale: ScaleName) -> None:
     chosen, spans = task.scale(scale), task.spans(scale)
     assert max(chosen.K) <= chosen.support, "supports and queries are disjoint"
     assert all(len(supports(chosen.support, K)) == 10 for K in chosen.K if K == 1)
-    used = [(span.domain, k) for span in everything(task, scale) for k in range(span.first, span.first + span.count)]
+    used = [
+        (task.set_of(part).name, span.domain, k)
+        for part in PARTS
+        for span in spans[part]
+        for k in range(span.first, span.first + span.count)
+    ]
     assert len(used) == len(set(used)), "no trajectory has two parts"
     of = find(task.set)
     for name in ("material", "attachment"):

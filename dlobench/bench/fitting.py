@@ -1,16 +1,19 @@
-"""Fits a model and scores it: one fit of a run, on all training domains of its task or on one."""
+"""Fits a model and scores it: one fit of a run, on all training domains of its task or on some."""
 
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dlobench.bench.evaluate import call, parameters, score_domains
-from dlobench.bench.journal import Finished
+from dlobench.bench import kept, questions
+from dlobench.bench.evaluate import call, parameters, score_domain
+from dlobench.bench.journal import Finished, Scores
+from dlobench.bench.kept import Kept
 from dlobench.bench.model import Model, Setting
 from dlobench.bench.order import Order
-from dlobench.bench.results import FitReport
+from dlobench.bench.record import DomainScore, FitReport
 from dlobench.bench.task import Fit
 from dlobench.data.domain_set import PARTS, Part
 from dlobench.data.ensure import Reporter
@@ -20,69 +23,102 @@ from dlobench.trajectories import Trajectories
 
 CURVE_POINTS = 200  # of a learning curve, at most
 
-
 Parts = dict[Part, dict[str, Trajectories]]  # of each part, the domains by their ids
 
 
+@dataclass(frozen=True)
+class Outcome:
+    """Holds what comes of a fit: its scores and some of its predictions."""
+
+    finished: Finished
+    kept: list[Kept]
+
+
 def domain_id(order: Order, domain: int | None) -> str | None:
-    """Returns how records name a domain, such as `meta-learning/00017`."""
+    """Returns how records name a domain that is fitted apart, such as `single-domain-large/00017`."""
     return None if domain is None else f"{order.of.name}/{domain:05d}"
 
 
-def fit_and_score(order: Order, fit: Fit, store: Store, *, title: str, reporter: Reporter) -> Finished:
-    """Fits the model of an order and scores it for every K; raises `RunError` for whatever goes wrong in it."""
-    begin = time.perf_counter()
-    parts = _load(order, fit, store, title, reporter)
-    model, report = _fit(order, fit, parts, title, reporter)
-    scale = order.task.scale(order.scale)
-    cells = {f"{order.of.name}/{span.domain:05d}": str(order.of.cell(span.domain)) for span in order.spans["test"]}
-    domains = {name: (cells[name], trajectories) for name, trajectories in parts["test"].items()}
-    scores = {}
-    for K in order.K:
-        with reporter.bar(f"{title}scoring K = {K}", "domains") as listen:
-            scores[K] = score_domains(
-                model,
-                scale=scale,
-                horizon=fit.horizon,
-                K=K,
-                domains=domains,
-                progress=lambda done, total, listen=listen: listen(done, total, {}),  # type: ignore[misc]
-            )
-    learned = parameters(model, order.plugin.name)
-    return Finished(fit=report, parameters=learned, seconds=time.perf_counter() - begin, scores=scores)
+def fit_name(fit: Fit) -> str:
+    """Returns how files of a fit are called, such as `trajectories50-h4-00017`."""
+    domain = "" if fit.domain is None else f"-{fit.domain:05d}"
+    return f"trajectories{fit.trajectories}-h{fit.horizon}{domain}{'-without-' + fit.without if fit.without else ''}"
 
 
-def _load(order: Order, fit: Fit, store: Store, title: str, reporter: Reporter) -> Parts:
-    """Loads what a fit is about: everything, or its domain."""
-    spans = [(part, s) for part in PARTS for s in order.spans[part] if fit.domain in (None, s.domain)]
+def load(order: Order, fit: Fit, store: Store, *, title: str, reporter: Reporter) -> Parts:
+    """Loads what a fit is about, as models may see it."""
+    spans = order.task.parts(order.spans, fit)
     parts: Parts = {part: {} for part in PARTS}
+    total, done = sum(map(len, spans.values())), 0
     with reporter.bar(f"{title}loading", "domains") as listen:
-        for done, (part, span) in enumerate(spans, 1):
-            head = span.head(fit.trajectories) if part == "train" else span
-            parts[part][f"{order.of.name}/{span.domain:05d}"] = store.load_span(order.of, head).observed()
-            listen(done, len(spans), {})
+        for part, members in spans.items():
+            of = order.task.set_of(part)
+            for span in members:
+                parts[part][f"{of.name}/{span.domain:05d}"] = store.load_span(of, span).observed()
+                done += 1
+                listen(done, total, {})
     return parts
 
 
+def fit_and_score(order: Order, fit: Fit, parts: Parts, *, title: str, reporter: Reporter) -> Outcome:
+    """Fits the model of an order and scores it for every K; raises `RunError` for whatever goes wrong in it."""
+    begin = time.perf_counter()
+    model, report = _fit(order, fit, parts, title, reporter)
+    task, of = order.task, order.task.set_of("test")
+    cells = {f"{of.name}/{span.domain:05d}": str(of.cell(span.domain)) for span in order.spans["test"]}
+    asked = [
+        questions.domain(name, cells[name], there, task=task, scale=task.scale(order.scale), fit=fit)
+        for name, there in parts["test"].items()
+    ]
+    together = _tested_together(order, fit)
+    scores, some = list[Scores](), list[Kept]()
+    for K in order.K:
+        found = {n: list[DomainScore]() for n in task.ahead(fit)}
+        with reporter.bar(f"{title}scoring K = {K}", "domains") as listen:
+            for done, domain in enumerate(asked, 1):
+                for n, scored in score_domain(model, domain, K, task=task, fit=fit).items():
+                    found[n].append(scored.score)
+                    if domain.name in (names := kept.domains(task, n, together)):
+                        rows = kept.windows(task, n, domain.name, len(domain.question.start), len(names))
+                        some.append(kept.keep(task.cell_id(fit, K, n), domain, n, rows, scored.first))
+                listen(done, len(asked), {})
+        scores += [Scores(horizon=n, K=K, domains=domains) for n, domains in found.items()]
+    learned = parameters(model, order.plugin.name)
+    finished = Finished(fit=report, parameters=learned, seconds=time.perf_counter() - begin, scores=scores)
+    return Outcome(finished, some)
+
+
+def _tested_together(order: Order, fit: Fit) -> list[str]:
+    """Returns the ids of all domains whose scores are joined with those of a fit in one cell."""
+    of = order.task.set_of("test").name
+    if not order.task.apart:
+        return [f"{of}/{span.domain:05d}" for span in order.task.parts(order.spans, fit)["test"]]
+    same = [f for f in order.fits if replace(f, domain=None) == replace(fit, domain=None)]
+    return [f"{of}/{f.domain:05d}" for f in same]
+
+
 def _fit(order: Order, fit: Fit, parts: Parts, title: str, reporter: Reporter) -> tuple[Model, FitReport]:
-    name = order.plugin.name
+    name, task = order.plugin.name, order.task
     model = call(name, lambda: order.plugin.model(seed=order.seed, device=order.device, **order.hyperparameters))
     curve = list[dict[str, float]]()
     about = f"fitting h = {fit.horizon}" + (f", {fit.trajectories} trajectories" if title else "")
+    train, valid = (list(parts[part].values()) for part in ("train", "valid"))
+    if task.futures is not None:
+        train, valid = ([questions.commanded(each) for each in domains] for domains in (train, valid))
+    valid = [questions.measured(each, task.noise, domain) for domain, each in zip(parts["valid"], valid, strict=True)]
     with reporter.bar(title + about, "steps") as listen:
         log = Log([listen, lambda step, total, values: curve.append({"step": float(step), **values})])
         setting = Setting(horizon=fit.horizon, K=order.K, budget=order.budget, log=log)
-        train, valid = list(parts["train"].values()), list(parts["valid"].values())
         begin = time.perf_counter()
         call(f"{name}.fit", lambda: model.fit(train, valid, setting))
         seconds = time.perf_counter() - begin
     finite = [point for point in curve if all(np.isfinite(value) for value in point.values())]
-    thin = finite[:: max(1, -(-len(finite) // CURVE_POINTS))]
     report = FitReport(
         trajectories=fit.trajectories,
         horizon=fit.horizon,
         domain=domain_id(order, fit.domain),
+        without=fit.without,
         seconds=seconds,
-        curve=thin,
+        curve=finite[:: max(1, -(-len(finite) // CURVE_POINTS))],
     )
     return model, report

@@ -11,7 +11,7 @@ import pandas as pd
 
 from dlobench.bench.matrix import Key, Matrix, grids, intervals_of
 from dlobench.bench.ranking import placed, ranked
-from dlobench.bench.results import Record
+from dlobench.bench.record import Record
 from dlobench.bench.scores import SKILL, scores
 from dlobench.data.store import atomic_write
 from dlobench.errors import RunError, UsageError

@@ -48,6 +48,14 @@ class Order:
         """Returns the trajectories that the run reads, part by part."""
         return self.task.spans(self.scale)
 
+    def sets(self) -> list[tuple[DomainSet, list[Span]]]:
+        """Returns the sets that the run reads, and all that it reads of each."""
+        found: dict[str, tuple[DomainSet, list[Span]]] = {}
+        for part, members in self.spans.items():
+            of = self.task.set_of(part)
+            found.setdefault(of.key, (of, []))[1].extend(members)
+        return [(of, spans) for of, spans in found.values() if spans]
+
 
 def order(task: Task, scale: ScaleName, plugin: ModelPlugin, K: int | None, horizon: int | None, **rest: Any) -> Order:
     """Checks and completes an order; raises `UsageError` naming the choices."""
@@ -58,6 +66,8 @@ def order(task: Task, scale: ScaleName, plugin: ModelPlugin, K: int | None, hori
         raise UsageError(
             f"--K {K} does not fit into the support pool of {chosen.support} trajectories of {task.name}/{scale}"
         )
+    if horizon is not None and task.rolled:
+        raise UsageError(f"--horizon {horizon}: {task.name} scores every horizon of one fit; leave it away")
     if horizon is not None and horizon not in task.horizon:
         raise UsageError(f"--horizon {horizon} is not one of {task.name}: {', '.join(map(str, task.horizon))}")
     fits = tuple(fit for fit in task.fits(scale) if horizon in (None, fit.horizon))

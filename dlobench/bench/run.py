@@ -2,24 +2,48 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Protocol
 
 from dlobench import machine
-from dlobench.bench import results
+from dlobench.bench import kept, results
 from dlobench.bench.evaluate import summarise
-from dlobench.bench.fitting import domain_id, fit_and_score
-from dlobench.bench.journal import Finished, Journal
+from dlobench.bench.fitting import Outcome, domain_id, fit_and_score, fit_name, load
+from dlobench.bench.journal import Finished, Journal, Key
+from dlobench.bench.kept import Kept
 from dlobench.bench.order import Order, recordable
-from dlobench.bench.results import CellScore, Failure, Provenance, Record
-from dlobench.bench.task import split_digest
-from dlobench.data.domain_set import PARTS
+from dlobench.bench.record import CellScore, Failure, Provenance, Record
+from dlobench.bench.task import Fit, split_digest
+from dlobench.data.domain_set import DomainSet, Span
 from dlobench.data.ensure import Reporter, ensure_data
 from dlobench.data.executors import Executor
 from dlobench.data.store import Store
 from dlobench.errors import RunError
+
+
+class Fitting(Protocol):
+    """Fits and scores, here or elsewhere."""
+
+    def __call__(
+        self, order: Order, fits: Sequence[tuple[str, Fit]], store: Store, reporter: Reporter
+    ) -> Iterator[tuple[Fit, Outcome | RunError]]:
+        """Yields what comes of each fit (its title comes before it) as it finishes, or why nothing came of it."""
+
+
+def one_by_one(
+    order: Order, fits: Sequence[tuple[str, Fit]], store: Store, reporter: Reporter
+) -> Iterator[tuple[Fit, Outcome | RunError]]:
+    """Fits and scores in this process, one after the other."""
+    for title, fit in fits:
+        try:
+            parts = load(order, fit, store, title=title, reporter=reporter)
+            yield fit, fit_and_score(order, fit, parts, title=title, reporter=reporter)
+        except RunError as error:
+            yield fit, error
 
 
 def run(
@@ -30,6 +54,7 @@ def run(
     command: str,
     executor: Executor,
     reporter: Reporter,
+    fitting: Fitting = one_by_one,
     force: bool = False,
     keep_going: bool = False,
 ) -> Record:
@@ -39,8 +64,8 @@ def run(
     `RunError`, unless `keep_going`: then the record names what failed, and has the cells that lack nothing.
     """
     task = order.task
-    spans = [span for part in PARTS for span in order.spans[part]]
-    data_sha256, split_sha256 = order.of.digest(spans), split_digest(order.spans)
+    sets = order.sets()
+    data_sha256, split_sha256 = data_digest(sets), split_digest(order.spans)
     hyper = recordable(order.hyperparameters)
     config = results.config_digest(
         plugin=order.plugin.sha256,
@@ -54,7 +79,8 @@ def run(
         code=results.code_digest(),
     )
     path = out / task.name / order.scale / f"{order.plugin.name}@{config}" / f"seed{order.seed}.json"
-    ensure_data(store, order.of, spans, executor=executor, reporter=reporter)
+    for of, spans in sets:
+        ensure_data(store, of, spans, executor=executor, reporter=reporter)
     if path.exists() and not force and not (record := results.read(path, out)).failures:
         reporter.say(f"run: reused the record {path}; --force runs it again")
         return record
@@ -63,23 +89,29 @@ def run(
     if force:
         journal.remove()
     finished, failures = journal.read(), list[Failure]()
-    for number, fit in enumerate(order.fits, 1):
-        key = fit.trajectories, fit.horizon, domain_id(order, fit.domain)
-        if key in finished:
-            continue
-        title = f"{number}/{len(order.fits)} " if len(order.fits) > 1 else ""
-        try:
-            finished[key] = one = fit_and_score(order, fit, store, title=title, reporter=reporter)
-        except RunError as error:
+    missing = [
+        (f"{number}/{len(order.fits)} " if len(order.fits) > 1 else "", fit)
+        for number, fit in enumerate(order.fits, 1)
+        if _key(order, fit) not in finished
+    ]
+    for fit, outcome in fitting(order, missing, store, reporter):
+        key = _key(order, fit)
+        if isinstance(outcome, RunError):
             if not keep_going:
-                raise
-            failures.append(Failure(trajectories=key[0], horizon=key[1], domain=key[2], error=str(error)))
-            reporter.say(f"failed: {error}")
+                raise outcome
+            where = dict(zip(("trajectories", "horizon", "domain", "without"), key, strict=True))
+            failures.append(Failure(**where, error=str(outcome)))  # type: ignore[arg-type]
+            reporter.say(f"failed: {outcome}")
             continue
-        journal.append(one)
-    cells = _cells(order, finished)
+        journal.append(outcome.finished, fit_name(fit), outcome.kept)
+        finished[key] = outcome.finished
+    some = [one for fit in order.fits if _key(order, fit) in finished for one in journal.kept(fit_name(fit))]
+    cells = _cells(order, finished, some)
     if not cells:
         raise RunError(f"no cell of {task.name} was finished; the last failure: {failures[-1].error}")
+    names = [cell.id for cell in cells]
+    predictions = path.with_suffix(".safetensors")
+    kept.write(predictions, sorted((one for one in some if one.cell in names), key=lambda one: names.index(one.cell)))
     commit, dirty = results.checkout()
     record = Record(
         task=task.name,
@@ -93,6 +125,7 @@ def run(
         fits=[one.fit for one in finished.values()],
         cells=cells,
         failures=failures,
+        predictions_sha256=hashlib.sha256(predictions.read_bytes()).hexdigest(),
         provenance=Provenance(
             command=command,
             created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -101,7 +134,7 @@ def run(
             versions=machine.versions(),
             cpu=machine.cpu(),
             device=order.device,
-            set=order.of.key,
+            set=" ".join(of.key for of, _ in sets),
             data_sha256=data_sha256,
             split_sha256=split_sha256,
             plugin_sha256=order.plugin.sha256,
@@ -117,15 +150,30 @@ def run(
     return record
 
 
-def _cells(order: Order, finished: Mapping[tuple[int, int, str | None], Finished]) -> list[CellScore]:
-    """Summarises the cells all of whose fits are finished, smallest first."""
-    cells = []
-    sweep = {(fit.trajectories, fit.horizon): fit for fit in order.fits}
-    for (trajectories, horizon), fit in sorted(sweep.items()):
-        members = [f for f in order.fits if (f.trajectories, f.horizon) == (trajectories, horizon)]
-        parts = [finished.get((trajectories, horizon, domain_id(order, f.domain))) for f in members]
-        whole = [part for part in parts if part is not None]
-        if len(whole) == len(parts):
-            scores = {K: [score for part in whole for score in part.scores[K]] for K in order.K}
-            cells += [summarise(order.task, fit, K, scores[K]) for K in order.K]
+def data_digest(sets: Sequence[tuple[DomainSet, list[Span]]]) -> str:
+    """Returns the definition digest (SHA-256) of all that a run reads, of one set or of several."""
+    digests = [of.digest(spans) for of, spans in sets]
+    return digests[0] if len(digests) == 1 else hashlib.sha256("\n".join(digests).encode()).hexdigest()
+
+
+def _key(order: Order, fit: Fit) -> Key:
+    return fit.trajectories, fit.horizon, domain_id(order, fit.domain), fit.without
+
+
+def _cells(order: Order, finished: Mapping[Key, Finished], some: Sequence[Kept]) -> list[CellScore]:
+    """Summarises the cells all of whose fits are finished, smallest first, what lacks nothing before what does."""
+    cells, task, sweep = [], order.task, dict[tuple[int, int, str], list[Fit]]()
+    for fit in order.fits:
+        sweep.setdefault((fit.trajectories, fit.horizon, fit.without or ""), []).append(fit)
+    for members in (sweep[key] for key in sorted(sweep)):
+        parts = [finished[_key(order, fit)] for fit in members if _key(order, fit) in finished]
+        if len(parts) < len(members):
+            continue
+        for n in task.ahead(members[0]):
+            for K in order.K:
+                scores = [score for part in parts for score in part.of(n, K)]
+                cell = summarise(task, members[0], K, n, scores)
+                mine = [one for one in some if one.cell == cell.id]
+                sample = kept.score(mine, samples=task.futures is not None) if mine else None
+                cells.append(cell.model_copy(update={"sample": sample}))
     return cells

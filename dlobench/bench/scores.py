@@ -11,7 +11,7 @@ from operator import itemgetter
 import numpy as np
 import pandas as pd
 
-from dlobench.bench.results import CellScore, DomainScore, Record
+from dlobench.bench.record import CellScore, DomainScore, Record
 from dlobench.errors import UsageError
 
 KEY = ["task", "task_version", "scale", "cell", "model", "config", "seed", "domain"]

@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from dlobench.bench.calibration import SAMPLES
 from dlobench.data.domain_set import PARTS, Cell, DomainSet, Part, ScaleName, Span
 from dlobench.data.imported_set import ImportedSet
 from dlobench.data.sets import find
@@ -22,8 +23,31 @@ class Scale:
 
     trajectories: tuple[int, ...]  # a training domain, one fit each
     support: int  # trajectories of an unseen domain that supports are drawn from
-    query: int  # trajectories of an unseen domain that are scored, the same for every K
+    query: int  # trajectories of an unseen domain that are scored, the same for every K; re-executed ones count once
     K: tuple[int, ...]  # trajectories in a support
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Says how imperfect measurements are: standard deviations of what is added to every pose, each independently."""
+
+    position: float  # m, of x and of y
+    yaw: float  # rad
+
+
+@dataclass(frozen=True)
+class Region:
+    """Names a part of the space of domains: a parameter has one of some values, or lies outside of a range."""
+
+    name: str
+    parameter: str  # a field of the domain
+    values: tuple[object, ...] = ()
+    outside: tuple[float, float] | None = None
+
+    def holds(self, of: DomainSet, index: int) -> bool:
+        """Tells whether domain `index` lies in it; raises `UsageError` where the set does not know its parameters."""
+        value = getattr(of.domain(index), self.parameter)
+        return value in self.values if self.outside is None else not self.outside[0] <= value <= self.outside[1]
 
 
 @dataclass(frozen=True)
@@ -33,6 +57,12 @@ class Fit:
     trajectories: int
     horizon: int
     domain: int | None = None  # the only one it is about, where a task fits every domain apart
+    without: str | None = None  # the region that it does not train on and is tested on
+
+    @property
+    def key(self) -> tuple[int, int, int | None, str | None]:
+        """Returns what tells fits of a run apart."""
+        return self.trajectories, self.horizon, self.domain, self.without
 
 
 @dataclass(frozen=True)
@@ -48,6 +78,10 @@ class Task:
     paper: Scale
     where: Mapping[str, object] = field(default_factory=dict)  # fields of the set's cells; a tuple: any of its values
     apart: bool = False  # whether every domain has a fit of its own, scored on other trajectories of that domain
+    rolled: bool = False  # whether models, fitted for 1 push, are applied to their own predictions to the farthest n
+    futures: str | None = None  # set of re-executed commands that samples are scored on; then models see commands alone
+    noise: Noise | None = None  # of what is measured: of validation, support and query, never of the truth
+    left_out: tuple[Region, ...] = ()  # each is a fit more, which trains outside of it and is tested inside
     imported: ImportedSet | None = None  # the set, where it is none of ours
 
     @property
@@ -55,17 +89,33 @@ class Task:
         """Returns the set that the task reads."""
         return find(self.set) if self.imported is None else self.imported
 
+    @property
+    def samples(self) -> int:
+        """Returns how many samples a model is asked for."""
+        return 1 if self.futures is None else SAMPLES
+
+    def set_of(self, part: Part) -> DomainSet:
+        """Returns the set that a part is read from."""
+        return self.of if self.futures is None or part != "test" else find(self.futures)
+
     def on(self, imported: ImportedSet) -> Task:
-        """Returns the task on an imported set, whose every byte its name tells: a board never mixes it with another."""
+        """Returns the task on an imported set, whose every byte its name tells: a board never mixes it with another.
+
+        Raises `UsageError` where the task needs what only a simulator can tell.
+        """
+        if self.futures is not None or any(region.outside for region in self.left_out):
+            what = "commands that were executed again and again" if self.futures else "parameters of domains"
+            raise UsageError(f"task {self.name!r} needs {what}, which imported sets do not have")
         of = imported.parted_like(self.of)
         return replace(self, name=f"{self.name}-on-{of.key}", set=of.name, imported=of)
 
     def check(self, scale: ScaleName) -> None:
         """Raises `UsageError`, naming field and value, for what no run could honour at a scale."""
         chosen, of = self.scale(scale), self.of
+        executions = self.set_of("test").executions
         counts = {part: [span.count for span in self._spans(scale) if span.part == part] for part in PARTS}
         most = {part: min(found, default=0) for part, found in counts.items()}
-        unseen = most["test"] if self.apart else min(most["valid"], most["test"])
+        unseen = most["test"] // executions if self.apart else min(most["valid"], most["test"])
 
         def numbers(field: str, values: object, low: int, high: int) -> None:
             if not isinstance(values, tuple) or not values or len(set(values)) < len(values):
@@ -86,7 +136,12 @@ class Task:
             raise UsageError(
                 f"task {self.name!r}: apart needs domains that have all parts, those of {self.set} have one"
             )
-        numbers("horizon", self.horizon, 1, of.pushes)
+        if self.futures is not None and (not self.apart or len(self.set_of("test")) != len(of)):
+            raise UsageError(f"task {self.name!r}: futures = {self.futures!r} are not those of domains fitted apart")
+        names = [region.name for region in self.left_out]
+        if len(set(names)) < len(names) or not all(re.fullmatch(r"[a-z]+", name) for name in names):
+            raise UsageError(f"task {self.name!r}: left_out = {names} are not different names in small letters")
+        numbers("horizon", self.horizon, 1, self.set_of("test").pushes)
         largest = max(counts["train"]) if self.apart else most["train"]  # what some domains lack others may have
         numbers(f"{scale}.trajectories", chosen.trajectories, 1, largest)
         numbers(f"{scale}.support", (chosen.support,), 0, unseen)
@@ -102,7 +157,7 @@ class Task:
     def spans(self, scale: ScaleName) -> dict[Part, list[Span]]:
         """Returns what the task reads at a scale, part by part: domains and how many trajectories of each."""
         chosen, found = self.scale(scale), self._spans(scale)
-        unseen = chosen.support + chosen.query
+        unseen = (chosen.support + chosen.query) * self.set_of("test").executions
 
         def count(span: Span) -> int:
             if span.part == "train":
@@ -112,29 +167,65 @@ class Task:
         return {part: [span.head(count(span)) for span in found if span.part == part] for part in PARTS}
 
     def _spans(self, scale: ScaleName) -> list[Span]:
-        """Returns the set's spans that the task is about, whole and in the order of their domains."""
-        of, fields = self.of, Cell.__dataclass_fields__
+        """Returns the sets' spans that the task is about, whole and in the order of their domains."""
+        fields = Cell.__dataclass_fields__
         for name in self.where:
             if name not in fields:
                 raise UsageError(f"task {self.name}: where has {name!r}, a cell has: {', '.join(fields)}")
-        spans = [span for span in of.spans(scale) if of.cell(span.domain).within(self.where)]
+        spans = [
+            span
+            for part in PARTS
+            for of in [self.set_of(part)]
+            for span in of.spans(scale)
+            if span.part == part and of.cell(span.domain).within(self.where)
+        ]
         return sorted(spans, key=lambda span: (span.domain, span.first))
 
     def fits(self, scale: ScaleName) -> list[Fit]:
-        """Returns the fits of a scale, domain by domain where they are fitted apart, smallest first."""
-        sizes, train = self.scale(scale).trajectories, self.spans(scale)["train"]
-        domains = {span.domain: span.count for span in train} if self.apart else {None: max(sizes)}
-        return [
-            Fit(size, n, domain)
+        """Returns the fits of a scale, domain by domain where they are fitted apart, smallest first.
+
+        Regions that hold no domain to test at that scale, or leave none to train on, have none.
+        """
+        sizes, spans = self.scale(scale).trajectories, self.spans(scale)
+        domains = {span.domain: span.count for span in spans["train"]} if self.apart else {None: max(sizes)}
+        horizons = (1,) if self.rolled else self.horizon
+        found = [
+            Fit(size, n, domain, without)
             for domain, most in domains.items()
+            for without in [None, *(region.name for region in self.left_out)]
             for size in sizes
             if size <= most
-            for n in self.horizon
+            for n in horizons
         ]
+        return [fit for fit in found if fit.without is None or all(self.parts(spans, fit).values())]
 
-    def cell_id(self, fit: Fit, K: int) -> str:
+    def parts(self, spans: Mapping[Part, Sequence[Span]], fit: Fit) -> dict[Part, list[Span]]:
+        """Returns what a fit trains on, validates on and is tested on, out of what the task reads."""
+        region = next((each for each in self.left_out if each.name == fit.without), None)
+
+        def belongs(span: Span, part: Part) -> bool:
+            if fit.domain not in (None, span.domain):
+                return False
+            return region is None or region.holds(self.of, span.domain) == (part == "test")
+
+        heads = {"train": [span.head(min(span.count, fit.trajectories)) for span in spans["train"]]}
+        return {part: [s for s in heads.get(part, spans[part]) if belongs(s, part)] for part in PARTS}
+
+    def ahead(self, fit: Fit) -> tuple[int, ...]:
+        """Returns the numbers of pushes ahead that a fit is scored at."""
+        return self.horizon if self.rolled else (fit.horizon,)
+
+    def cell_id(self, fit: Fit, K: int, horizon: int | None = None) -> str:
         """Names one point of the sweep, such as `meta/trajectories20-h4-k10`; without K where domains are apart."""
-        return f"{self.name}/trajectories{fit.trajectories}-h{fit.horizon}{'' if self.apart else f'-k{K}'}"
+        n = fit.horizon if horizon is None else horizon
+        support = "" if self.apart else f"-k{K}"
+        without = "" if fit.without is None else f"-without-{fit.without}"
+        return f"{self.name}/trajectories{fit.trajectories}-h{n}{support}{without}"
+
+    def cells(self, scale: ScaleName) -> list[str]:
+        """Returns the names of all points of the sweep."""
+        fits, Ks = self.fits(scale), self.scale(scale).K
+        return list(dict.fromkeys(self.cell_id(fit, K, n) for fit in fits for n in self.ahead(fit) for K in Ks))
 
 
 def split_digest(spans: Mapping[Part, Sequence[Span]]) -> str:
