@@ -97,6 +97,15 @@ def test_the_order_of_the_records_does_not_matter(
     assert csv_of(records, folder) == first
 
 
+def test_seeds_from_several_machines_make_one_row_whatever_the_order() -> None:
+    records = [with_provenance(made("mlp", HARD + k, seed=k), device=d) for k, d in enumerate(("cpu", "cuda", "cpu"))]
+    records = [one.model_copy(update={"fits": fitted(0.1 + 0.2 * one.seed)}) for one in records]
+    records.append(made("mlp", HARD + 9, config="fedcba98").model_copy(update={"fits": fitted(100)}))
+    first = leaderboard.table(records)
+    for order in ([1, 0, 2, 3], [3, 2, 1, 0], [2, 0, 3, 1]):
+        pd.testing.assert_frame_equal(leaderboard.table([records[i] for i in order]), first, check_exact=True)
+
+
 def test_a_tie_of_means_is_broken_by_name_whatever_the_order(tmp_path: Path) -> None:
     values = (0.1, 0.2, 0.3)
     one = [record(config="00000000", seed=i, mse=m) for i, m in enumerate(values)]
