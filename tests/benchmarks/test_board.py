@@ -20,7 +20,8 @@ from rates import Tables
 from test_results import record
 
 from dlobench.bench import leaderboard, results
-from dlobench.bench.results import Record, read_all
+from dlobench.bench.record import Record
+from dlobench.bench.results import read_all
 
 TITLE = "seconds of processor time for a board of 1,000 records, each of 3 cells of 48 domains"
 DOMAINS, CELLS = 48, 3
