@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import errno
 import io
-import math
 import os
 import shlex
 import signal
 import sys
 import traceback
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from dlobench import __version__
-from dlobench.cli_board import leaderboard_app, show
+from dlobench.cli_board import leaderboard_app
 from dlobench.cli_compare import compare
-from dlobench.cli_data import Scale, data_app, generate
-from dlobench.cli_look import Data, list_app, open_store
+from dlobench.cli_data import data_app, generate
+from dlobench.cli_look import list_app
 from dlobench.cli_render import render
-from dlobench.cli_store import Workers
+from dlobench.cli_run import MemoryLimit, TimeLimit, run
 from dlobench.cli_validate import validate
 from dlobench.errors import RunError, UsageError
 
@@ -35,16 +33,11 @@ app = typer.Typer(
 app.add_typer(list_app, name="list")
 app.add_typer(data_app, name="data")
 app.add_typer(leaderboard_app, name="leaderboard")
+app.command()(run)
 app.command()(generate)
 app.command()(compare)
 app.command()(render)
 app.command()(validate)
-
-
-TimeLimit = Annotated[float, typer.Option(help="Seconds that each call into the plugin may take.")]
-MemoryLimit = Annotated[
-    float | None, typer.Option(help="GB that the plugin may hold. Default: three quarters of the machine's.")
-]
 
 
 def _version(wanted: bool) -> None:
@@ -63,83 +56,6 @@ def _main(
     ] = False,
 ) -> None:
     pass
-
-
-@app.command()
-def run(
-    task: Annotated[str, typer.Option(help="A task's name or file.")],
-    model: Annotated[str, typer.Option(help="A model's name or file.")],
-    K: Annotated[int | None, typer.Option("--K", help="Support trajectories. Default: all of the task.")] = None,
-    horizon: Annotated[int | None, typer.Option(help="Pushes ahead. Default: all of the task.")] = None,
-    scale: Scale = "mini",
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the model.")] = 0,
-    settings: Annotated[
-        list[str] | None, typer.Option("--set", metavar="FIELD=VALUE", help="A hyperparameter.")
-    ] = None,
-    max_steps: Annotated[int | None, typer.Option(min=1, help="Cut every fit after so many steps.")] = None,
-    max_minutes: Annotated[float | None, typer.Option(min=0.0, help="Stop every fit after so many minutes.")] = None,
-    on: Annotated[
-        str | None, typer.Option(metavar="NAME", help="An imported set to run the task on, rather than its own.")
-    ] = None,
-    data: Data = None,
-    out: Annotated[Path, typer.Option(help="Where records and their leaderboard go.")] = Path("runs"),
-    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
-    workers: Workers = None,
-    threads: Annotated[int, typer.Option(min=1, help="Threads of torch; small networks gain nothing from more.")] = 1,
-    time_limit: TimeLimit = 6 * 3600.0,
-    memory_limit: MemoryLimit = None,
-    force: Annotated[bool, typer.Option("--force", help="Run again what is recorded already.")] = False,
-    keep_going: Annotated[bool, typer.Option("--keep-going", help="Record fits that fail, and go on.")] = False,
-) -> None:
-    """Run a model on a task: generate what is missing, fit, adapt, score, record, print the board."""
-    from dlobench.bench import leaderboard, results
-    from dlobench.bench import run as bench
-    from dlobench.bench.limits import limits
-    from dlobench.bench.order import order, resolve_device
-    from dlobench.bench.plugins import load_task
-    from dlobench.bench.sandbox import Sandbox
-    from dlobench.console import TerminalReporter
-    from dlobench.data.executors import find_executor
-    from dlobench.data.imported import check_whole, find_imported
-    from dlobench.data.sets import find_scale
-    from dlobench.nn.budget import Budget
-
-    asked, store = load_task(task), open_store(data)
-    with Sandbox(limits(time_limit, memory_limit), hidden=[store.root, out], threads=threads) as sandbox:
-        imported = None if on is None else find_imported(store, on)
-        wanted = order(
-            asked if imported is None else asked.on(imported),
-            find_scale(scale),
-            sandbox.load(model),
-            K,
-            horizon,
-            seed=seed,
-            settings=sandbox.parse_settings(settings or []),
-            budget=Budget(steps=max_steps, minutes=max_minutes),
-            device=resolve_device(device),
-        )
-        if out.exists() and not out.is_dir():
-            raise UsageError(f"--out {out} is not a folder")
-        if out.is_dir():
-            results.read_all(out)  # a foreign file would spoil the board: better said now than after the fit
-        if max_minutes is not None and not math.isfinite(max_minutes):
-            raise UsageError(f"--max-minutes {max_minutes} is not a finite number of minutes")
-        if imported is not None:
-            check_whole(store, imported, [span for spans in wanted.spans.values() for span in spans])
-        command = shlex.join(["dlobench", *sys.argv[1:]]).encode(errors="backslashreplace").decode()
-        record = bench.run(
-            wanted,
-            store,
-            out,
-            command=command,
-            executor=find_executor("local", workers=workers),
-            reporter=TerminalReporter(),
-            force=force,
-            keep_going=keep_going,
-        )
-    frame = leaderboard.table(results.read_all(out))
-    leaderboard.write(frame, out / "leaderboard.csv")
-    show(frame[frame["cell"].isin([cell.id for cell in record.cells]) & (frame["scale"] == record.scale)])
 
 
 @app.command()

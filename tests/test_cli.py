@@ -118,6 +118,10 @@ BAD_USAGE: list[tuple[tuple[str, ...], tuple[str, ...]]] = [
     ((*RUN, "--device", "x"), ("'x'", "auto", "cpu", "cuda")),
     ((*RUN, "--workers", "-1"), ("-1",)),
     ((*RUN, "--seed", "-1"), ("-1", "--seed")),
+    ((*RUN, "--seeds", "4-0"), ("4-0", "empty range")),
+    ((*RUN, "--seeds", "0-999999999"), ("0-999999999", "more than 1000")),
+    ((*RUN, "--seeds", "0,1,0"), ("0,1,0", "twice")),
+    ((*RUN, "--seeds", "one"), ("one", "0-4")),
     ((*RUN, "--max-steps", "0"), ("0", "--max-steps")),
     ((*RUN, "--set", "nonsense"), ("nonsense",)),
     ((*RUN, "--set", "width=9"), ("width=9",)),
@@ -395,7 +399,7 @@ def test_seeds_settings_and_plugins_of_one_name_never_share_a_record(call: Call,
     mine = plugin(tmp_path / "a", "pass")
     other = plugin(tmp_path / "b", "query = query")
     common = ("run", "--task", "meta", "--K", 1, "--data", mini, "--out", tmp_path / "out", "--model")
-    for arguments in ((mine,), (mine, "--seed", 1), (mine, "--set", "gain=2"), (other,)):
+    for arguments in ((mine, "--seeds", "0-1"), (mine, "--set", "gain=2"), (other,)):
         assert call(*common, *arguments).code == 0
     rows = board(tmp_path / "out")
     assert sorted(row["seeds"] for row in rows) == ["1", "1", "2"]

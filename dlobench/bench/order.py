@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from dlobench.data.domain_set import DomainSet, Part, ScaleName, Span
 from dlobench.errors import UsageError
 from dlobench.nn.budget import Budget
 
+MOST_SEEDS = 1000
 # of Linux, Jetson, WSL and ROCm
 _ACCELERATORS = ("/dev/nvidiactl", "/dev/nvidia0", "/dev/nvhost-gpu", "/dev/dxg", "/dev/kfd")
 
@@ -48,6 +50,10 @@ class Order:
         """Returns the trajectories that the run reads, part by part."""
         return self.task.spans(self.scale)
 
+    def seeded(self, seed: int) -> Order:
+        """Returns the same order with another seed of the model."""
+        return replace(self, seed=seed)
+
     def sets(self) -> list[tuple[DomainSet, list[Span]]]:
         """Returns the sets that the run reads, and all that it reads of each."""
         found: dict[str, tuple[DomainSet, list[Span]]] = {}
@@ -72,6 +78,22 @@ def order(task: Task, scale: ScaleName, plugin: ModelPlugin, K: int | None, hori
         raise UsageError(f"--horizon {horizon} is not one of {task.name}: {', '.join(map(str, task.horizon))}")
     fits = tuple(fit for fit in task.fits(scale) if horizon in (None, fit.horizon))
     return Order(task, scale, plugin, fits, chosen.K if K is None else (K,), **rest)
+
+
+def parse_seeds(text: str) -> tuple[int, ...]:
+    """Reads seeds such as 3, 0-4 or 0,7, in the order given; raises `UsageError` for anything else."""
+    found: list[int] = []
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*([0-9]{1,9})(?:-([0-9]{1,9}))?\s*", part)
+        if match is None:
+            raise UsageError(f"--seeds {text!r} is not a seed, a range such as 0-4 or a list such as 0,7")
+        numbers = range(int(match[1]), int(match[2] or match[1]) + 1)
+        if not 1 <= len(numbers) <= MOST_SEEDS - len(found):
+            raise UsageError(f"--seeds {text!r} has an empty range, or more than {MOST_SEEDS} seeds")
+        found += numbers
+    if len(set(found)) < len(found):
+        raise UsageError(f"--seeds {text!r} names a seed twice")
+    return tuple(found)
 
 
 def recordable(hyper: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,118 @@
+"""Speaks the verbs that run models: `dlobench run` and `dlobench submit`."""
+
+from __future__ import annotations
+
+import math
+import shlex
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dlobench.cli_board import show
+from dlobench.cli_data import Scale
+from dlobench.cli_look import Data, open_store
+from dlobench.cli_store import Workers
+from dlobench.errors import UsageError
+
+TimeLimit = Annotated[float, typer.Option(help="Seconds that each call into the plugin may take.")]
+MemoryLimit = Annotated[
+    float | None, typer.Option(help="GB that the plugin may hold. Default: three quarters of the machine's.")
+]
+Task = Annotated[str, typer.Option(help="A task's name or file.")]
+Support = Annotated[int | None, typer.Option("--K", help="Support trajectories. Default: all of the task.")]
+Seeds = Annotated[
+    str, typer.Option("--seeds", "--seed", metavar="SEEDS", help="Seeds of the model, such as 0, 0-4 or 0,7.")
+]
+Settings = Annotated[list[str] | None, typer.Option("--set", metavar="FIELD=VALUE", help="A hyperparameter.")]
+MaxMinutes = Annotated[float | None, typer.Option(min=0.0, help="Stop every fit after so many minutes.")]
+Out = Annotated[Path, typer.Option(help="Where records and their leaderboard go.")]
+
+
+def run(
+    task: Task,
+    model: Annotated[str, typer.Option(help="A model's name or file.")],
+    K: Support = None,
+    horizon: Annotated[int | None, typer.Option(help="Pushes ahead. Default: all of the task.")] = None,
+    scale: Scale = "mini",
+    seeds: Seeds = "0",
+    settings: Settings = None,
+    max_steps: Annotated[int | None, typer.Option(min=1, help="Cut every fit after so many steps.")] = None,
+    max_minutes: MaxMinutes = None,
+    on: Annotated[
+        str | None, typer.Option(metavar="NAME", help="An imported set to run the task on, rather than its own.")
+    ] = None,
+    data: Data = None,
+    out: Out = Path("runs"),
+    device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
+    workers: Workers = None,
+    threads: Annotated[int, typer.Option(min=1, help="Threads of torch; small networks gain nothing from more.")] = 1,
+    time_limit: TimeLimit = 6 * 3600.0,
+    memory_limit: MemoryLimit = None,
+    force: Annotated[bool, typer.Option("--force", help="Run again what is recorded already.")] = False,
+    keep_going: Annotated[bool, typer.Option("--keep-going", help="Record fits that fail, and go on.")] = False,
+) -> None:
+    """Run a model on a task: generate what is missing, fit, adapt, score, record, print the board."""
+    from dlobench.bench import leaderboard, results
+    from dlobench.bench import run as bench
+    from dlobench.bench.limits import limits
+    from dlobench.bench.order import order, parse_seeds, resolve_device
+    from dlobench.bench.plugins import load_task
+    from dlobench.bench.sandbox import Sandbox
+    from dlobench.console import TerminalReporter
+    from dlobench.data.executors import find_executor
+    from dlobench.data.imported import check_whole, find_imported
+    from dlobench.data.sets import find_scale
+    from dlobench.nn.budget import Budget
+
+    asked, store, numbers = load_task(task), open_store(data), parse_seeds(seeds)
+    with Sandbox(limits(time_limit, memory_limit), hidden=[store.root, out], threads=threads) as sandbox:
+        imported = None if on is None else find_imported(store, on)
+        wanted = order(
+            asked if imported is None else asked.on(imported),
+            find_scale(scale),
+            sandbox.load(model),
+            K,
+            horizon,
+            settings=sandbox.parse_settings(settings or []),
+            budget=Budget(steps=max_steps, minutes=max_minutes),
+            device=resolve_device(device),
+        )
+        _check_out(out, max_minutes)
+        if imported is not None:
+            check_whole(store, imported, [span for spans in wanted.spans.values() for span in spans])
+        records = [
+            bench.run(
+                wanted.seeded(seed),
+                store,
+                out,
+                command=_command(),
+                executor=find_executor("local", workers=workers),
+                reporter=TerminalReporter(),
+                force=force,
+                keep_going=keep_going,
+            )
+            for seed in numbers
+        ]
+    frame = leaderboard.table(results.read_all(out))
+    leaderboard.write(frame, out / "leaderboard.csv")
+    cells = {cell.id for record in records for cell in record.cells}
+    show(frame[frame["cell"].isin(cells) & (frame["scale"] == wanted.scale)])
+
+
+def _check_out(out: Path, max_minutes: float | None) -> None:
+    """Raises for what would only show after the fit."""
+    from dlobench.bench import results
+
+    if out.exists() and not out.is_dir():
+        raise UsageError(f"--out {out} is not a folder")
+    if out.is_dir():
+        results.read_all(out)  # a foreign file would spoil the board
+    if max_minutes is not None and not math.isfinite(max_minutes):
+        raise UsageError(f"--max-minutes {max_minutes} is not a finite number of minutes")
+
+
+def _command() -> str:
+    """Returns the command that was given, as records hold it."""
+    return shlex.join(["dlobench", *sys.argv[1:]]).encode(errors="backslashreplace").decode()
