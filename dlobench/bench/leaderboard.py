@@ -97,7 +97,7 @@ def _rows(record: Record) -> list[dict[str, Any]]:
     }
     fits: dict[tuple[int, str | None], dict[int, list[float]]] = {}
     for fit in record.fits:
-        there = fits.setdefault((fit.trajectories, getattr(fit, "without", None)), {})
+        there = fits.setdefault((fit.trajectories, fit.without), {})
         there.setdefault(fit.horizon, []).append(fit.seconds)
     out = []
     for cell in record.cells:
