@@ -13,8 +13,14 @@ MODEL = {
     "color": {"field": "model", "type": "nominal", "title": None, "scale": {"range": OKABE_ITO}},
     "shape": {"field": "model", "type": "nominal", "title": None, "scale": {"range": SHAPES}},
 }
-DASH = {"strokeDash": {"field": "model", "type": "nominal", "title": None, "scale": {"range": DASHES}}}
-ERROR = {"field": "y", "type": "quantitative", "title": "Mean squared error (cm²)", "scale": {"type": "log"}}
+DASH = {"strokeDash": {"field": "model", "type": "nominal", "title": None, "legend": None, "scale": {"range": DASHES}}}
+ERROR = {
+    "field": "y",
+    "type": "quantitative",
+    "title": "Mean squared error (cm²)",
+    "scale": {"type": "log"},
+    "axis": {"tickCount": 5},
+}
 
 
 def _told(*more: tuple[str, str]) -> list[dict[str, str]]:
@@ -31,7 +37,6 @@ def _sweep(name: str, title: str, axis: str) -> dict[str, Any]:
     encoding = {
         "x": {"field": "x", "type": "ordinal", "title": axis, "axis": {"labelAngle": 0}},
         "y": ERROR,
-        "detail": {"field": "rest", "type": "nominal"},
         "tooltip": _told(("x", axis), ("shown", "Mean squared error (cm²)")),
     }
     note = "Over the domains that have every value on the axis, of models that have them all."
@@ -43,17 +48,16 @@ def _sweep(name: str, title: str, axis: str) -> dict[str, Any]:
 
 
 def _pareto(name: str, title: str, axis: str, least: float) -> dict[str, Any]:
-    x = {"field": "x", "type": "quantitative", "title": axis, "scale": {"type": "log"}}
+    x = {"field": "x", "type": "quantitative", "title": axis, "scale": {"type": "log"}, "axis": {"tickCount": 4}}
     tooltip = _told(("x", axis), ("shown", "Mean squared error (cm²)"))
     layer = [
         {
             "transform": [{"filter": "datum.front"}],
             "mark": {"type": "line", "interpolate": "step-after", "color": "#7F7F7F", "strokeWidth": 1.5},
-            "encoding": {"detail": {"field": "cell", "type": "nominal"}},
         },
         {"mark": {"type": "point", "filled": True, "size": 80}, "encoding": MODEL | {"tooltip": tooltip}},
     ]
-    note = f"The line joins, in each cell, those that no other beats on both. Times below {least:g} are drawn there."
+    note = f"The line joins those that no other beats on both. Times below {least:g} are drawn there."
     return _chart(name, title, note, encoding={"x": x, "y": ERROR}, layer=layer) | {"least": least}
 
 
@@ -64,7 +68,7 @@ CHARTS = [
     _pareto("fit", "Error against training time", "Training time (s)", 0.01),
     _pareto("predict", "Error against prediction time", "Prediction time per query (ms)", 0.001),
     _chart(
-        "coverage", "Calibration: coverage", "A calibrated model meets the line: half of the truths in its 50 % interval.",
+        "coverage", "Calibration: coverage", "A calibrated model has half of the truths in its 50 % interval.",
         layer=[
             {
                 "mark": {"type": "rule", "strokeDash": [4, 3], "color": "#7F7F7F"},
@@ -91,7 +95,6 @@ CHARTS = [
             "x": {"field": "x", "type": "quantitative", "title": "Rank of the truth among samples",
                   "axis": {"format": "%"}},
             "y": {"field": "y", "type": "quantitative", "title": "Frequency, 1 = flat", "scale": {"zero": True}},
-            "detail": {"field": "cell", "type": "nominal"},
             "color": MODEL["color"],
             "tooltip": _told(("shown", "Frequency")),
         } | DASH,

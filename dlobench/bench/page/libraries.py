@@ -42,5 +42,5 @@ def libraries() -> Library:
 
 
 def _inert(script: str) -> str:
-    """Returns a script that cannot end its element: what looks like HTML stands in strings, where `\\x3C` is `<`."""
+    """Returns a script that cannot end its element: what looks like HTML stands in strings, where x3C escapes `<`."""
     return re.sub(r"<(?=!--|/?script)", r"\\x3C", script, flags=re.IGNORECASE)

@@ -53,9 +53,9 @@ const columns = [
     render: (_, kind, row) => (kind === "display" ? (row.place === null ? none : `${row.place}${row.tie ? `<span title="ties with a neighbour"> ≈</span>` : ""}`) : row.place ?? 1e9) },
   { title: "Model", className: "model", cellType: "th", type: "string", data: null,
     render: (_, kind, row) => (kind === "display" ? `<button type="button" data-row="${row.id}" aria-haspopup="dialog">${text(row.model)}</button> <span class="config">${text(row.config)}</span>` : named(row)) },
-  word("Task", (row) => row.task), word("Scale", (row) => row.scale), word("Cell", (row) => row.cell.replace(/^[^/]*\//, ""), ""),
   { title: "Skill", className: number, type: "num", data: null,
     render: (_, kind, row) => (kind === "display" ? `${digits(row.skill, 3)}${interval(row.skill_low, row.skill_high, 3)}${bar(row.skill, row.skill_low, row.skill_high, ...skills)}` : row.skill ?? -1e300) },
+  word("Task", (row) => row.task), word("Scale", (row) => row.scale), word("Cell", (row) => row.cell.replace(/^[^/]*\//, ""), ""),
   { title: "MSE (cm²)", className: wide, type: "num", data: null,
     render: (_, kind, row) => (kind === "display" ? `${brief(scaled(row.mse_m2, 1e4))}${row.mse_low === null ? "" : ` <span class="scale">${brief(row.mse_low * 1e4)} to ${brief(row.mse_high * 1e4)}</span>`}` : row.mse_m2) },
   plain("Error (mm)", (row) => scaled(row.euclidean_m, 1e3), (v) => digits(v, 2), number),
@@ -82,7 +82,7 @@ function show() {
   fill("cell", distinct("cell", rows.filter((row) => (!task || row.task === task) && (!scale || row.scale === scale))), "All cells");
   const found = visible();
   table.clear().rows.add(found);
-  table.column(2).visible(!task, false); table.column(3).visible(!scale, false); table.column(0).visible(!material, false);
+  table.column(3).visible(!task, false); table.column(4).visible(!scale, false); table.column(0).visible(!material, false);
   Object.entries(some).forEach(([i, name]) => table.column(i).visible(found.some((row) => row[name] !== null), false));
   table.draw();
   at("note").textContent = `${found.length} of ${rows.length} rows.` + (material ? ` Skill and errors are of ${material} domains alone, by MSE; intervals and places are of all materials and not shown.` : "");
@@ -102,8 +102,7 @@ function points(id, chart, found, material) {
   found.forEach((row) => {
     const add = (x, y, more) => y > 0 && out.push({ ...base(row), x, y, shown: brief(y), ...more });
     if (["horizon", "trajectories", "K"].includes(id)) {
-      const rest = ["horizon", "trajectories", "K"].filter((name) => name !== id).map((name) => row[name]).join();
-      add(row[id], scaled(row.sweeps[id]?.[material], 1e4), { rest: `${named(row)} ${rest} ${row.without}` });
+      add(row[id], scaled(row.sweeps[id]?.[material], 1e4));
     } else if (id === "fit" || id === "predict") {
       const time = id === "fit" ? row.fit_s : scaled(row.predict_s, 1e3);
       if (time !== null) add(Math.max(time, chart.least), row.mse_m2 * 1e4);
@@ -117,6 +116,7 @@ function points(id, chart, found, material) {
   return out;
 }
 let drawing = 0;
+const words = { horizon: "horizon", trajectories: "training trajectories", K: "K" };
 async function draw(found) {
   const turn = ++drawing, { material } = chosen();
   at("charts").replaceChildren();
@@ -129,16 +129,22 @@ async function draw(found) {
   const order = [...best].map(([name, s]) => [s.reduce((a, b) => a + b, 0) / s.length, name]).sort((a, b) => b[0] - a[0] || (a[1] < b[1] ? -1 : 1));
   const models = order.slice(0, 8).map(([, name]) => name);
   at("charted").textContent = `${found[0].task}, ${found[0].scale}` + (order.length > 8 ? `: the 8 of ${order.length} models with the best mean skill.` : ".");
-  const among = found.filter((row) => models.includes(named(row)));
+  // One setting of what a chart does not sweep: that of the chosen cell, or the largest.
+  const { cell } = chosen(), sweeps = ["horizon", "trajectories", "K"];
+  const of = found.filter((row) => models.includes(named(row)));
+  const last = of.find((row) => row.cell === cell) ?? [...of].sort((a, b) => (a.without < b.without ? -1 : a.without > b.without ? 1 : sweeps.reduce((d, name) => d || b[name] - a[name], 0)))[0];
+  const every = rows.filter((row) => row.task === last.task && row.scale === last.scale && models.includes(named(row)));
   for (const chart of charts) {
+    const swept = sweeps.includes(chart.id), fixed = sweeps.filter((name) => name !== chart.id);
+    const among = swept ? every.filter((row) => fixed.every((name) => row[name] === last[name]) && row.without === last.without) : of.filter((row) => row.cell === last.cell);
     const values = points(chart.id, chart, among, material);
     if (turn !== drawing) return;
-    const needs = chart.id in { horizon: 1, trajectories: 1, K: 1 } ? 2 : 1;
+    const needs = swept ? 2 : 1;
     if (new Set(values.map((p) => p.x)).size < needs) continue;
     if (material && (chart.id === "coverage" || chart.id === "ranks")) continue; // they are of all materials
     const figure = make("figure", undefined, at("charts"));
     figure.className = "chart"; figure.id = `chart-${chart.id}`;
-    make("h3", chart.title, figure); make("p", chart.note, figure);
+    make("h3", chart.title, figure); make("p", `${swept ? fixed.map((name) => `${words[name]} ${last[name]}`).join(", ") : last.cell.replace(/^[^/]*\//, "")}. ${chart.note}`, figure);
     await picture(make("div", undefined, figure), chart, values);
   }
 }

@@ -30,7 +30,7 @@ def payload(records: Sequence[Record], frame: pd.DataFrame) -> dict[str, Any]:
     """Returns what the page holds as plain JSON: rows of the table, and the runs behind them; in one order."""
     runs: dict[Key, list[Record]] = {}
     for record in sorted(records, key=lambda record: record.path(Path())):
-        runs.setdefault(_group(record) + (record.model, record.config), []).append(record)
+        runs.setdefault((*_group(record), record.model, record.config), []).append(record)
     number = {key: i for i, key in enumerate(sorted(runs))}
     tidy = scores([record for key in sorted(runs) for record in runs[key]])
     tidy = tidy.assign(data=tidy["data"].str[:8], split=tidy["split"].str[:8]) if len(tidy) else tidy
@@ -39,7 +39,7 @@ def payload(records: Sequence[Record], frame: pd.DataFrame) -> dict[str, Any]:
     rows = []
     for one in frame.to_dict("records"):
         key: Key = tuple(one[name] for name in ROW)
-        row = {name: _number(one[name]) for name in NUMBERS}
+        row: dict[str, Any] = {name: _number(one[name]) for name in NUMBERS}
         row |= {name: one[name] for name in ("scale", "cell", "model", "config", "tie", "without")}
         row |= {"task": labels[tuple(one[name] for name in GROUP)], "run": number[*key[:5], *key[6:]]}
         rows.append(
