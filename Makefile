@@ -11,7 +11,7 @@ help:  ## Show what can be made
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,dev,card,cluster,figures,render,validation]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,dev,card,cluster,figures,page,render,validation]'
 	touch $@
 
 run: $(VENV)/installed  ## From nothing to a leaderboard row (add options by ARGS="--max-steps 500")

@@ -19,17 +19,31 @@ leaderboard_app = typer.Typer(help="Build the leaderboard.", no_args_is_help=Tru
 def leaderboard_build(
     results: Annotated[Path | None, typer.Option(help=f"Folder of records. Default: {COMMITTED_RESULTS}.")] = None,
     out: Annotated[Path | None, typer.Option(help="CSV to write. Default: leaderboard.csv beside the records.")] = None,
+    page: Annotated[bool, typer.Option(help="Also write index.html beside the CSV.")] = True,
 ) -> None:
-    """Build the leaderboard from the records. The same records give the same bytes."""
+    """Build the leaderboard and its page from the records. The same records give the same bytes."""
     from dlobench.bench import leaderboard
     from dlobench.bench.results import read_all
 
     if out is not None and (out.suffix != ".csv" or (results in out.parents and out.parent != results)):
         raise UsageError(f"--out {str(out)!r} is not a .csv file, or lies among the records")
-    frame = leaderboard.table(read_all(results or COMMITTED_RESULTS))
+    records = read_all(results or COMMITTED_RESULTS)
+    frame = leaderboard.table(records)
     path = out or (results / "leaderboard.csv" if results else COMMITTED_BOARD)
     leaderboard.write(frame, path)
     typer.echo(f"{path}: {len(frame)} rows")
+    if page:
+        from dlobench.bench.page import build
+        from dlobench.bench.page.libraries import MissingError
+        from dlobench.data.store import atomic_write
+
+        try:
+            content = build(records, frame)
+        except MissingError as error:
+            typer.echo(f"no page is written: {error}")
+            return
+        atomic_write(path.with_name("index.html"), content)
+        typer.echo(f"{path.with_name('index.html')}: {len(content) / 1e6:.1f} MB")
 
 
 def show(frame: Any) -> None:

@@ -12,6 +12,10 @@ from dlobench.errors import UsageError
 _EXPORTS = re.compile(r"export\{[^}]*?([\w$]+) as default[^}]*\};?")
 
 
+class MissingError(UsageError):
+    """Says that a package of the extra `page` is not installed."""
+
+
 @dataclass(frozen=True)
 class Library:
     """Holds module scripts, each to be put into an element of its own, and a style sheet."""
@@ -24,13 +28,13 @@ class Library:
 def libraries() -> Library:
     """Returns DataTables as `window.DataTable` and Vega-Lite as `window.vegaEmbed`.
 
-    Raises `UsageError` where a package is missing or holds something else than expected.
+    Raises `MissingError` where a package is missing, `UsageError` where it holds something else than expected.
     """
     try:
         import itables
         import vl_convert
     except ImportError as error:
-        raise UsageError(f"the page needs {error.name}: pip install 'dlobench[page]'") from error
+        raise MissingError(f"the page needs {error.name}: pip install 'dlobench[page]'") from error
     bundle = files(itables).joinpath("html", "dt_bundle.js").read_text(encoding="utf-8")
     table, found = _EXPORTS.subn(r"window.DataTable=\1;", bundle)
     if found != 1:
