@@ -233,7 +233,7 @@ def test_hostile_records_stay_text(browser: Any, tmp_path: Path) -> None:
 def test_the_policy_stops_a_script_and_a_request(browser: Any, file: Path) -> None:
     seen = Seen(browser, file)
     seen.page.evaluate(
-        "() => document.body.append(Object.assign(document.createElement('script'), {textContent: 'window.hacked = 1'}))"
+        "() => document.body.append(Object.assign(document.createElement('script'), {text: 'window.hacked = 1'}))"
     )
     assert seen.page.evaluate("window.hacked") is None
     assert seen.page.evaluate("fetch('http://127.0.0.1:9/').then(() => 'sent', () => 'stopped')") == "stopped"

@@ -41,10 +41,10 @@ def _sweep(name: str, title: str, axis: str) -> dict[str, Any]:
     }
     note = "Over the domains that have every value on the axis, of models that have them all."
     layer = [
-        {"mark": {"type": "line"}, "encoding": {"color": MODEL["color"]} | DASH},
+        {"mark": {"type": "line"}, "encoding": {"color": MODEL["color"] | {"legend": None}} | DASH},
         {"mark": {"type": "point", "filled": True, "size": 60}, "encoding": MODEL},
     ]
-    return _chart(name, title, note, encoding=encoding, layer=layer)
+    return _chart(name, title, note, encoding=encoding, layer=layer, resolve={"scale": {"color": "independent"}})
 
 
 def _pareto(name: str, title: str, axis: str, least: float) -> dict[str, Any]:

@@ -144,7 +144,7 @@ async function draw(found) {
     if (material && (chart.id === "coverage" || chart.id === "ranks")) continue; // they are of all materials
     const figure = make("figure", undefined, at("charts"));
     figure.className = "chart"; figure.id = `chart-${chart.id}`;
-    make("h3", chart.title, figure); make("p", `${swept ? fixed.map((name) => `${words[name]} ${last[name]}`).join(", ") : last.cell.replace(/^[^/]*\//, "")}. ${chart.note}`, figure);
+    make("h3", chart.title, figure); make("p", `${swept ? "At " + fixed.map((name) => `${words[name]} ${last[name]}`).join(", ") : "In " + last.cell.replace(/^[^/]*\//, "")}. ${chart.note}`, figure);
     await picture(make("div", undefined, figure), chart, values);
   }
 }

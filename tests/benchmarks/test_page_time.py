@@ -11,7 +11,7 @@ import time
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 from rates import Tables
-from test_board import SHAPES, records
+from test_board import SHAPES, records  # type: ignore[import-not-found]
 
 from dlobench.bench import leaderboard
 
