@@ -40,11 +40,8 @@ def _sweep(name: str, title: str, axis: str) -> dict[str, Any]:
         "tooltip": _told(("x", axis), ("shown", "Mean squared error (cm²)")),
     }
     note = "Over the domains that have every value on the axis, of models that have them all."
-    layer = [
-        {"mark": {"type": "line"}, "encoding": {"color": MODEL["color"] | {"legend": None}} | DASH},
-        {"mark": {"type": "point", "filled": True, "size": 60}, "encoding": MODEL},
-    ]
-    return _chart(name, title, note, encoding=encoding, layer=layer, resolve={"scale": {"color": "independent"}})
+    mark = {"type": "line", "point": {"filled": False, "size": 60, "strokeWidth": 2}}
+    return _chart(name, title, note, mark=mark, encoding=encoding | MODEL | DASH)
 
 
 def _pareto(name: str, title: str, axis: str, least: float) -> dict[str, Any]:
@@ -55,7 +52,7 @@ def _pareto(name: str, title: str, axis: str, least: float) -> dict[str, Any]:
             "transform": [{"filter": "datum.front"}],
             "mark": {"type": "line", "interpolate": "step-after", "color": "#7F7F7F", "strokeWidth": 1.5},
         },
-        {"mark": {"type": "point", "filled": True, "size": 80}, "encoding": MODEL | {"tooltip": tooltip}},
+        {"mark": {"type": "point", "filled": True, "opacity": 1, "size": 80}, "encoding": MODEL | {"tooltip": tooltip}},
     ]
     note = f"The line joins those that no other beats on both. Times below {least:g} are drawn there."
     return _chart(name, title, note, encoding={"x": x, "y": ERROR}, layer=layer) | {"least": least}
@@ -77,7 +74,7 @@ CHARTS = [
                              "x2": {"field": "b"}, "y2": {"field": "b"}},
             },
             {
-                "mark": {"type": "point", "filled": True, "size": 80},
+                "mark": {"type": "point", "filled": True, "opacity": 1, "size": 80},
                 "encoding": MODEL | {
                     "x": {"field": "x", "type": "quantitative", "title": "Level of the interval",
                           "scale": {"domain": [0, 1]}, "axis": {"format": "%", "values": [0, 0.5, 0.9]}},
