@@ -40,8 +40,11 @@ def _sweep(name: str, title: str, axis: str) -> dict[str, Any]:
         "tooltip": _told(("x", axis), ("shown", "Mean squared error (cm²)")),
     }
     note = "Over the domains that have every value on the axis, of models that have them all."
-    mark = {"type": "line", "point": {"filled": False, "size": 60, "strokeWidth": 2}}
-    return _chart(name, title, note, mark=mark, encoding=encoding | MODEL | DASH)
+    layer = [  # lines are coloured by stroke: by color, they would add a legend of their own
+        {"mark": {"type": "line"}, "encoding": {"stroke": MODEL["color"] | {"legend": None}} | DASH},
+        {"mark": {"type": "point", "filled": True, "opacity": 1, "size": 60}, "encoding": MODEL},
+    ]
+    return _chart(name, title, note, encoding=encoding, layer=layer)
 
 
 def _pareto(name: str, title: str, axis: str, least: float) -> dict[str, Any]:
