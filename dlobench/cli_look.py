@@ -41,7 +41,7 @@ def list_tasks(as_json: Json = False) -> None:
                     "trajectories": list(chosen.trajectories),
                     "horizon": list(task.horizon),
                     "K": list(chosen.K),
-                    "cells": task.cells(scale),
+                    "cells": task.cells(scale, chosen.K),
                 }
             )
     columns = ["task", "scale", "set", "domains", "pushes", "fits", "trajectories", "horizon", "K"]

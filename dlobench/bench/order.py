@@ -54,14 +54,6 @@ class Order:
         """Returns the same order with another seed of the model."""
         return replace(self, seed=seed)
 
-    def sets(self) -> list[tuple[DomainSet, list[Span]]]:
-        """Returns the sets that the run reads, and all that it reads of each."""
-        found: dict[str, tuple[DomainSet, list[Span]]] = {}
-        for part, members in self.spans.items():
-            of = self.task.set_of(part)
-            found.setdefault(of.key, (of, []))[1].extend(members)
-        return [(of, spans) for of, spans in found.values() if spans]
-
 
 def order(task: Task, scale: ScaleName, plugin: ModelPlugin, K: int | None, horizon: int | None, **rest: Any) -> Order:
     """Checks and completes an order; raises `UsageError` naming the choices."""

@@ -19,7 +19,7 @@ from dlobench.data.store import atomic_write
 from dlobench.errors import RunError
 
 _FILE = re.compile(r"^seed\d+\.json$")
-_BESIDE = re.compile(r"^seed\d+(\.safetensors|/[^/]+\.safetensors)$")  # predictions and weights
+_BESIDE = re.compile(r"^(plugin\.py|seed\d+(\.safetensors|/[^/]+\.safetensors))$")  # plugin, predictions, weights
 _SEAL = b',"seal":"%s"}\n'  # SHA-256 of all that stands before it
 
 
@@ -81,11 +81,16 @@ def read(path: Path, results: Path) -> Record:
 
 
 def read_all(results: Path) -> list[Record]:
-    """Reads every record under a results folder, in the order of their paths.
+    """Reads every record under a results folder, in the order of their paths; raises `RunError` as `paths` does."""
+    return [read(path, results) for path in paths(results)]
+
+
+def paths(results: Path) -> list[Path]:
+    """Returns the path of every record under a results folder, in order.
 
     Raises `RunError` for a missing folder and for any file that is not a record, since to skip it would be silent.
     Hidden files and folders, of runs that go on or were killed, and tables and the page at the top are no records;
-    predictions and weights stand beside theirs.
+    the plugin, predictions and weights stand beside theirs.
     """
     if not results.is_dir():
         raise RunError(f"no results folder at {results}")
@@ -100,7 +105,7 @@ def read_all(results: Path) -> list[Record]:
             continue
         if not _FILE.match(path.name) or not path.is_file():
             raise RunError(f"{path} is not a record of ours (task/scale/model@config/seed<k>.json); move it away")
-        out.append(read(path, results))
+        out.append(path)
     return out
 
 

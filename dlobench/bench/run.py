@@ -18,10 +18,9 @@ from dlobench.bench.kept import Kept
 from dlobench.bench.order import Order, recordable
 from dlobench.bench.record import CellScore, Failure, Provenance, Record
 from dlobench.bench.task import Fit, split_digest
-from dlobench.data.domain_set import DomainSet, Span
 from dlobench.data.ensure import Reporter, ensure_data
 from dlobench.data.executors import Executor
-from dlobench.data.store import Store
+from dlobench.data.store import Store, atomic_write
 from dlobench.errors import RunError
 
 
@@ -64,8 +63,8 @@ def run(
     `RunError`, unless `keep_going`: then the record names what failed, and has the cells that lack nothing.
     """
     task = order.task
-    sets = order.sets()
-    data_sha256, split_sha256 = data_digest(sets), split_digest(order.spans)
+    sets = task.sets(order.spans)
+    data_sha256, split_sha256 = task.data_digest(order.spans), split_digest(order.spans)
     hyper = recordable(order.hyperparameters)
     config = results.config_digest(
         plugin=order.plugin.sha256,
@@ -85,6 +84,9 @@ def run(
         reporter.say(f"run: reused the record {path}; --force runs it again")
         return record
     results.check_writable(out)  # better said now than after the fit
+    plugin = order.plugin.path.read_bytes()
+    if hashlib.sha256(plugin).hexdigest() != order.plugin.sha256:
+        raise RunError(f"{order.plugin.path} was changed while it was loaded; run it again")
     journal = Journal.beside(path)
     if force:
         journal.remove()
@@ -109,6 +111,7 @@ def run(
     cells = _cells(order, finished, some)
     if not cells:
         raise RunError(f"no cell of {task.name} was finished; the last failure: {failures[-1].error}")
+    atomic_write(path.with_name("plugin.py"), plugin)
     names = [cell.id for cell in cells]
     predictions = path.with_suffix(".safetensors")
     kept.write(predictions, sorted((one for one in some if one.cell in names), key=lambda one: names.index(one.cell)))
@@ -148,12 +151,6 @@ def run(
     if not failures:
         journal.remove()
     return record
-
-
-def data_digest(sets: Sequence[tuple[DomainSet, list[Span]]]) -> str:
-    """Returns the definition digest (SHA-256) of all that a run reads, of one set or of several."""
-    digests = [of.digest(spans) for of, spans in sets]
-    return digests[0] if len(digests) == 1 else hashlib.sha256("\n".join(digests).encode()).hexdigest()
 
 
 def _key(order: Order, fit: Fit) -> Key:

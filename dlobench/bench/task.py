@@ -138,9 +138,8 @@ class Task:
             )
         if self.futures is not None and (not self.apart or len(self.set_of("test")) != len(of)):
             raise UsageError(f"task {self.name!r}: futures = {self.futures!r} are not those of domains fitted apart")
-        names = [region.name for region in self.left_out]
-        if len(set(names)) < len(names) or not all(re.fullmatch(r"[a-z]+", name) for name in names):
-            raise UsageError(f"task {self.name!r}: left_out = {names} are not different names in small letters")
+        if not all(re.fullmatch(r"[a-z]+", region.name) for region in self.left_out):
+            raise UsageError(f"task {self.name!r}: left_out = {self.left_out} have names that are not of small letters")
         numbers("horizon", self.horizon, 1, self.set_of("test").pushes)
         largest = max(counts["train"]) if self.apart else most["train"]  # what some domains lack others may have
         numbers(f"{scale}.trajectories", chosen.trajectories, 1, largest)
@@ -151,8 +150,7 @@ class Task:
 
     def scale(self, name: ScaleName) -> Scale:
         """Returns what the task uses at a scale."""
-        chosen: Scale = getattr(self, name)
-        return chosen
+        return {"mini": self.mini, "small": self.small, "paper": self.paper}[name]
 
     def spans(self, scale: ScaleName) -> dict[Part, list[Span]]:
         """Returns what the task reads at a scale, part by part: domains and how many trajectories of each."""
@@ -188,14 +186,13 @@ class Task:
         """
         sizes, spans = self.scale(scale).trajectories, self.spans(scale)
         domains = {span.domain: span.count for span in spans["train"]} if self.apart else {None: max(sizes)}
-        horizons = (1,) if self.rolled else self.horizon
         found = [
             Fit(size, n, domain, without)
             for domain, most in domains.items()
             for without in [None, *(region.name for region in self.left_out)]
             for size in sizes
             if size <= most
-            for n in horizons
+            for n in ((1,) if self.rolled else self.horizon)
         ]
         return [fit for fit in found if fit.without is None or all(self.parts(spans, fit).values())]
 
@@ -211,6 +208,19 @@ class Task:
         heads = {"train": [span.head(min(span.count, fit.trajectories)) for span in spans["train"]]}
         return {part: [s for s in heads.get(part, spans[part]) if belongs(s, part)] for part in PARTS}
 
+    def sets(self, spans: Mapping[Part, Sequence[Span]]) -> list[tuple[DomainSet, list[Span]]]:
+        """Returns the sets that are read, and all that is read of each."""
+        found: dict[str, tuple[DomainSet, list[Span]]] = {}
+        for part, members in spans.items():
+            of = self.set_of(part)
+            found.setdefault(of.key, (of, []))[1].extend(members)
+        return [(of, members) for of, members in found.values() if members]
+
+    def data_digest(self, spans: Mapping[Part, Sequence[Span]]) -> str:
+        """Returns the definition digest (SHA-256) of all that is read, of one set or of several."""
+        digests = [of.digest(members) for of, members in self.sets(spans)]
+        return digests[0] if len(digests) == 1 else hashlib.sha256("\n".join(digests).encode()).hexdigest()
+
     def ahead(self, fit: Fit) -> tuple[int, ...]:
         """Returns the numbers of pushes ahead that a fit is scored at."""
         return self.horizon if self.rolled else (fit.horizon,)
@@ -222,10 +232,9 @@ class Task:
         without = "" if fit.without is None else f"-without-{fit.without}"
         return f"{self.name}/trajectories{fit.trajectories}-h{n}{support}{without}"
 
-    def cells(self, scale: ScaleName) -> list[str]:
-        """Returns the names of all points of the sweep."""
-        fits, Ks = self.fits(scale), self.scale(scale).K
-        return list(dict.fromkeys(self.cell_id(fit, K, n) for fit in fits for n in self.ahead(fit) for K in Ks))
+    def cells(self, scale: ScaleName, Ks: Sequence[int]) -> list[str]:
+        """Returns the names of all points of the sweep at some K."""
+        return list(dict.fromkeys(self.cell_id(f, K, n) for f in self.fits(scale) for n in self.ahead(f) for K in Ks))
 
 
 def split_digest(spans: Mapping[Part, Sequence[Span]]) -> str:
