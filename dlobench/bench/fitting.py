@@ -8,16 +8,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dlobench.bench import kept, questions
+from dlobench.bench.answers import Misdeed
 from dlobench.bench.evaluate import call, parameters, score_domain
 from dlobench.bench.journal import Finished, Scores
 from dlobench.bench.kept import Kept
 from dlobench.bench.model import Model, Setting
 from dlobench.bench.order import Order
 from dlobench.bench.record import DomainScore, FitReport
+from dlobench.bench.remote import state_of
 from dlobench.bench.task import Fit
+from dlobench.bench.weights import State
 from dlobench.data.domain_set import PARTS, Part
 from dlobench.data.ensure import Reporter
 from dlobench.data.store import Store
+from dlobench.errors import UsageError
 from dlobench.nn.budget import Log
 from dlobench.trajectories import Trajectories
 
@@ -28,10 +32,12 @@ Parts = dict[Part, dict[str, Trajectories]]  # of each part, the domains by thei
 
 @dataclass(frozen=True)
 class Outcome:
-    """Holds what comes of a fit: its scores and some of its predictions."""
+    """Holds what comes of a fit: its scores, some of its predictions, and its weights where they can be kept."""
 
     finished: Finished
     kept: list[Kept]
+    state: State | None
+    lacking: str = ""  # why there are no weights
 
 
 def domain_id(order: Order, domain: int | None) -> str | None:
@@ -85,7 +91,10 @@ def fit_and_score(order: Order, fit: Fit, parts: Parts, *, title: str, reporter:
         scores += [Scores(horizon=n, K=K, domains=domains) for n, domains in found.items()]
     learned = parameters(model, order.plugin.name)
     finished = Finished(fit=report, parameters=learned, seconds=time.perf_counter() - begin, scores=scores)
-    return Outcome(finished, some)
+    try:
+        return Outcome(finished, some, state_of(model))
+    except (UsageError, Misdeed) as error:
+        return Outcome(finished, some, None, str(error))
 
 
 def _tested_together(order: Order, fit: Fit) -> list[str]:

@@ -129,6 +129,8 @@ class Guest:
             "adapt": self._adapt,
             "predict": self._predict,
             "parameters": self._parameters,
+            "save": self._save,
+            "restore": self._restore,
         }[asked["do"]]
         answered: tuple[dict[str, Any], Arrays] = does(asked, arrays)
         return answered
@@ -198,6 +200,17 @@ class Guest:
         from dlobench.bench.answers import counted
 
         return {"count": counted(self._models[asked["model"]].parameters())}, {}
+
+    def _save(self, asked: dict[str, Any], _arrays: Arrays) -> tuple[dict[str, Any], Arrays]:
+        from dlobench.bench.weights import flatten
+
+        state = flatten(self._models[asked["model"]])
+        return {"tree": state.tree}, state.arrays
+
+    def _restore(self, asked: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]:
+        from dlobench.bench.weights import State, restore
+
+        return self._keep(restore(self._plugin(), State(asked["tree"], arrays), device=asked["device"])), {}
 
     def _plugin(self) -> type[Model]:
         if self._model is None:

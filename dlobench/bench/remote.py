@@ -14,9 +14,11 @@ import numpy as np
 
 from dlobench.bench.answers import Misdeed, counted
 from dlobench.bench.model import Model, Setting
+from dlobench.bench.weights import State, flatten, restore
 from dlobench.bench.wire import Arrays, packed
 from dlobench.trajectories import Prediction, Query, Trajectories
 
+MOST = 2**31  # bytes of weights
 _SLACK = 8  # times the bytes of a right answer in float32, for wrong shapes to be told as such
 
 
@@ -96,6 +98,19 @@ class Remote(Model):
         """Returns the number of learned parameters that the model counts there."""
         return counted(self._ask("parameters", {})[0].get("count"))
 
+    def saved(self) -> State:
+        """Returns what the fit has put into the model there."""
+        answer, arrays = self._ask("save", {}, most=MOST)
+        return State(answer.get("tree"), arrays)
+
+    @classmethod
+    def restored(cls, state: State, device: str) -> Remote:
+        """Returns what stands in for a model with a state, made there; its fields here are the defaults."""
+        model = object.__new__(cls)
+        answer, _ = cls.process.ask("restore", {"tree": state.tree, "device": device}, state.arrays)
+        model._hold(answer)
+        return model
+
     def _ask(self, what: str, header: Mapping[str, Any], arrays: Arrays | None = None, **how: Any) -> Any:
         return self.process.ask(what, {"model": self.handle, **header}, arrays, generation=self.generation, **how)
 
@@ -112,3 +127,13 @@ def remote_model(process: Asked, name: str, hyper: Mapping[str, Any], needed: Se
     given = [(key, Any, field(default_factory=partial(copy.deepcopy, value))) for key, value in hyper.items()]
     lacking = [(key, Any, field(kw_only=True)) for key in needed]
     return dataclasses.make_dataclass(str(name), [*given, *lacking], bases=(Remote,), namespace={"process": process})
+
+
+def state_of(model: Model) -> State:
+    """Returns what a fit has put into a model, here or in the process of its plugin; raises as `flatten` does."""
+    return model.saved() if isinstance(model, Remote) else flatten(model)
+
+
+def revive(cls: type[Model], state: State, *, device: str) -> Model:
+    """Returns a model with a state, here or in the process of its plugin; raises as `restore` does."""
+    return cls.restored(state, device) if issubclass(cls, Remote) else restore(cls, state, device=device)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Protocol
 
 from dlobench import machine
-from dlobench.bench import kept, results
+from dlobench.bench import kept, results, weights
 from dlobench.bench.evaluate import summarise
 from dlobench.bench.fitting import Outcome, domain_id, fit_and_score, fit_name, load
 from dlobench.bench.journal import Finished, Journal, Key
@@ -105,6 +105,10 @@ def run(
             failures.append(Failure(**where, error=str(outcome)))  # type: ignore[arg-type]
             reporter.say(f"failed: {outcome}")
             continue
+        if outcome.state is None:
+            reporter.say(f"weights: none are kept of {fit_name(fit)}: {outcome.lacking}")
+        else:
+            weights.write(path.with_suffix("") / f"{fit_name(fit)}.safetensors", outcome.state)
         journal.append(outcome.finished, fit_name(fit), outcome.kept)
         finished[key] = outcome.finished
     some = [one for fit in order.fits if _key(order, fit) in finished for one in journal.kept(fit_name(fit))]
