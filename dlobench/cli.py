@@ -19,8 +19,9 @@ from dlobench.cli_compare import compare
 from dlobench.cli_data import data_app, generate
 from dlobench.cli_look import list_app
 from dlobench.cli_render import render
-from dlobench.cli_run import MemoryLimit, TimeLimit, run
+from dlobench.cli_run import MemoryLimit, TimeLimit, new_app, run, submit
 from dlobench.cli_validate import validate
+from dlobench.cli_verify import leaderboard_add, leaderboard_verify
 from dlobench.errors import RunError, UsageError
 
 app = typer.Typer(
@@ -33,7 +34,11 @@ app = typer.Typer(
 app.add_typer(list_app, name="list")
 app.add_typer(data_app, name="data")
 app.add_typer(leaderboard_app, name="leaderboard")
+app.add_typer(new_app, name="new")
+leaderboard_app.command("verify")(leaderboard_verify)
+leaderboard_app.command("add")(leaderboard_add)
 app.command()(run)
+app.command()(submit)
 app.command()(generate)
 app.command()(compare)
 app.command()(render)

@@ -1,4 +1,4 @@
-"""Speaks the verbs that run models: `dlobench run` and `dlobench submit`."""
+"""Speaks the verbs of who has a model: `dlobench new model`, `dlobench run` and `dlobench submit`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,7 +14,10 @@ from dlobench.cli_board import show
 from dlobench.cli_data import Scale
 from dlobench.cli_look import Data, open_store
 from dlobench.cli_store import Workers
-from dlobench.errors import UsageError
+from dlobench.errors import RunError, UsageError
+
+if TYPE_CHECKING:
+    from dlobench.bench.record import Record
 
 TimeLimit = Annotated[float, typer.Option(help="Seconds that each call into the plugin may take.")]
 MemoryLimit = Annotated[
@@ -28,6 +31,8 @@ Seeds = Annotated[
 Settings = Annotated[list[str] | None, typer.Option("--set", metavar="FIELD=VALUE", help="A hyperparameter.")]
 MaxMinutes = Annotated[float | None, typer.Option(min=0.0, help="Stop every fit after so many minutes.")]
 Out = Annotated[Path, typer.Option(help="Where records and their leaderboard go.")]
+
+new_app = typer.Typer(help="Write a plugin to begin with.", no_args_is_help=True)
 
 
 def run(
@@ -54,6 +59,98 @@ def run(
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Record fits that fail, and go on.")] = False,
 ) -> None:
     """Run a model on a task: generate what is missing, fit, adapt, score, record, print the board."""
+    _records(
+        task,
+        model,
+        seeds,
+        settings,
+        K=K,
+        horizon=horizon,
+        scale=scale,
+        budget=(max_steps, max_minutes),
+        on=on,
+        data=data,
+        out=out,
+        device=device,
+        workers=workers,
+        threads=threads,
+        limit=(time_limit, memory_limit),
+        force=force,
+        keep_going=keep_going,
+    )
+
+
+def submit(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A model plugin: its file or name.")],
+    task: Task,
+    scale: Scale = "mini",
+    seeds: Seeds = "0",
+    settings: Settings = None,
+    max_minutes: MaxMinutes = None,
+    data: Data = None,
+    out: Out = Path("runs"),
+    workers: Workers = None,
+    time_limit: TimeLimit = 6 * 3600.0,
+    memory_limit: MemoryLimit = None,
+) -> None:
+    """Run a model on a task and pack records, predictions, weights and plugin into one file to hand in."""
+    from dlobench.bench import submission
+    from dlobench.bench.verify import verify
+
+    records = _records(
+        task,
+        file,
+        seeds,
+        settings,
+        scale=scale,
+        budget=(None, max_minutes),
+        data=data,
+        out=out,
+        workers=workers,
+        limit=(time_limit, memory_limit),
+    )
+    paths = [record.path(out) for record in records]
+    wrong = [why for found in verify(paths, out) for why in found.wrong]
+    if wrong:
+        raise RunError(f"what was recorded does not hold: {'; '.join(wrong)}")
+    first = records[0]
+    packed = out.parent / f"{first.model}-{first.config}-{first.task}-{first.scale}.zip"
+    size = submission.pack(paths, out, packed)
+    typer.echo(f"{packed}: {len(paths)} record{'s' * (len(paths) > 1)}, {size / 1e6:.1f} MB; it holds")
+
+
+@new_app.command("model")
+def new_model(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="What the model is to be called: its file is NAME.py.")],
+) -> None:
+    """Write a model plugin to begin with: a linear model of some 30 lines, without PyTorch, that keeps the contract."""
+    from dlobench.bench import template
+
+    path = template.write(name, Path())
+    typer.echo(f"{path}: `dlobench check {path}`, then `dlobench run --task meta --model {path}`")
+
+
+def _records(
+    task: str,
+    model: str,
+    seeds: str,
+    settings: list[str] | None,
+    *,
+    budget: tuple[int | None, float | None],
+    limit: tuple[float, float | None],
+    scale: str,
+    data: Path | None,
+    out: Path,
+    workers: int | None,
+    K: int | None = None,
+    horizon: int | None = None,
+    on: str | None = None,
+    device: str = "auto",
+    threads: int = 1,
+    force: bool = False,
+    keep_going: bool = False,
+) -> list[Record]:
+    """Runs every seed, writes and prints the board, and returns the records."""
     from dlobench.bench import leaderboard, results
     from dlobench.bench import run as bench
     from dlobench.bench.limits import limits
@@ -67,7 +164,7 @@ def run(
     from dlobench.nn.budget import Budget
 
     asked, store, numbers = load_task(task), open_store(data), parse_seeds(seeds)
-    with Sandbox(limits(time_limit, memory_limit), hidden=[store.root, out], threads=threads) as sandbox:
+    with Sandbox(limits(*limit), hidden=[store.root, out], threads=threads) as sandbox:
         imported = None if on is None else find_imported(store, on)
         wanted = order(
             asked if imported is None else asked.on(imported),
@@ -76,10 +173,10 @@ def run(
             K,
             horizon,
             settings=sandbox.parse_settings(settings or []),
-            budget=Budget(steps=max_steps, minutes=max_minutes),
+            budget=Budget(steps=budget[0], minutes=budget[1]),
             device=resolve_device(device),
         )
-        _check_out(out, max_minutes)
+        _check_out(out, budget[1])
         if imported is not None:
             check_whole(store, imported, [span for spans in wanted.spans.values() for span in spans])
         records = [
@@ -99,6 +196,7 @@ def run(
     leaderboard.write(frame, out / "leaderboard.csv")
     cells = {cell.id for record in records for cell in record.cells}
     show(frame[frame["cell"].isin(cells) & (frame["scale"] == wanted.scale)])
+    return records
 
 
 def _check_out(out: Path, max_minutes: float | None) -> None:

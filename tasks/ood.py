@@ -1,6 +1,7 @@
 """Domains unlike all that were trained on: one material, one attachment or the extremes of a parameter are left out."""
 
-from dlobench.bench.task import Region, Scale, Task
+from dlobench.bench.regions import Region
+from dlobench.bench.task import Scale, Task
 
 TASK = Task(
     name="ood",

@@ -15,8 +15,9 @@ from dlobench.bench.evaluate import score_domain
 from dlobench.bench.model import Model, Setting
 from dlobench.bench.plugins import load_task
 from dlobench.bench.questions import asked, measured
+from dlobench.bench.regions import Region
 from dlobench.bench.rolling import poses, roll
-from dlobench.bench.task import Fit, Noise, Region, Scale
+from dlobench.bench.task import Fit, Noise, Scale
 from dlobench.data.domain_set import SCALES, ScaleName
 from dlobench.errors import UsageError
 from dlobench.trajectories import Prediction, Query, Trajectories

@@ -1,186 +1,253 @@
-"""Tests verification and repair: what is wrong is found wherever it is looked for, and mended without touching more."""
+"""Tests submissions: what is recorded holds, what is edited is rejected, whatever was edited and resealed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+import hashlib
+import json
+import shutil
+import zipfile
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from test_faults import arrays, inline, quiet, tiny, units
-from test_store import fake, files, write
+from test_cli import Call, call, mini  # noqa: F401  # fixtures
 
-from dlobench.data.domain_set import Unit
-from dlobench.data.executors import find_executor
-from dlobench.data.generate import generate, make_unit
-from dlobench.data.store import Broken, Store
-from dlobench.data.verify import PIECE, repair, verify
-from dlobench.world.simulate import Account
+from dlobench.bench import kept, results, submission, template
+from dlobench.bench.verify import verify
+from dlobench.errors import RunError, UsageError
 
-OF = tiny(8)
-UNITS = units(OF)
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Returns the folder of a plugin that `dlobench new model` wrote."""
+    folder = tmp_path_factory.mktemp("source")
+    template.write("mine", folder)
+    return folder
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
-    """Returns a folder of random walks."""
-    store = Store(tmp_path)
-    for unit in UNITS:
-        write(store, OF, unit)
-    return store
+def runs(call: Call, mini: Path, source: Path, tmp_path: Path) -> Path:  # noqa: F811
+    """Returns a folder with the records of two models on few data."""
+    out = tmp_path / "runs"
+    for model in ("persistence", source / "mine.py"):
+        assert call("run", "--task", "meta", "--model", model, "--data", mini, "--out", out).code == 0
+    return out
 
 
-def flip(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[-3] ^= 1
-    path.write_bytes(content)
+def wrong(folder: Path) -> list[str]:
+    """Returns all that is wrong with the records of a folder."""
+    return [why for found in verify(results.paths(folder), folder) for why in found.wrong]
 
 
-def test_workers_find_what_is_found_here(store: Store) -> None:
-    flip(store.path(OF, UNITS[3]))
-    flip(store.path(OF, UNITS[5]).with_suffix(".json"))
-    store.path(OF, UNITS[7]).unlink()
-    heard: list[tuple[int, int, int]] = []
-    here = verify(store, OF, inline, lambda *told: heard.append(told))
-    assert verify(store, OF, find_executor("local", workers=2), quiet) == here
-    assert set(here.broken) == {UNITS[3], UNITS[5], UNITS[7]}
-    assert "SHA-256" in here.broken[UNITS[3]]
-    assert "sidecar" in here.broken[UNITS[5]]
-    assert "missing" in here.broken[UNITS[7]]
-    assert heard[0] == (0, len(UNITS), 0)
-    assert heard[-1] == (len(UNITS), len(UNITS), here.bytes)
-    whole = len(UNITS) - 3
-    assert here.bytes == whole * 3 * 114 * 4
+def mine(folder: Path) -> Path:
+    """Returns the record of the model that learns."""
+    (path,) = folder.glob("meta/mini/mine@*/seed0.json")
+    return path
 
 
-def test_many_shards_are_checked_in_pieces(tmp_path: Path) -> None:
-    count = PIECE + 3
-    of = replace(OF, cells=OF.cells[:1], extents={s: (replace(e[0], train=count, valid=count, test=count, per_cell=1),)
-                                                  for s, e in OF.extents.items()})  # fmt: skip
-    store = Store(tmp_path)
-    for unit in units(of):
-        write(store, of, unit)
-    flip(store.path(of, units(of)[-1]))
-    found = verify(store, of, inline, quiet)
-    assert (found.shards, list(found.broken)) == (count, units(of)[-1:])
+def resealed(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    """Edits a record and gives it a seal that fits, as somebody may who reads our code."""
+    content = json.loads(path.read_bytes())
+    content.pop("seal")
+    change(content)
+    before = json.dumps(content, separators=(",", ":"), ensure_ascii=False).removesuffix("}").encode()
+    path.write_bytes(before + b',"seal":"%s"}\n' % hashlib.sha256(before).hexdigest().encode())
 
 
-def test_what_is_no_shard_is_listed_and_no_error(store: Store) -> None:
-    folder = store.path(OF, UNITS[0]).parent
-    (folder / ".0000000.json.0f.tmp").touch()
-    (folder / "notes.txt").touch()
-    store.discard(OF, UNITS[1])
-    found = verify(store, OF, inline, quiet)
-    assert (found.broken, found.halves) == ({}, [UNITS[1]])
-    assert [path.name for path in found.temporary] == [".0000000.json.0f.tmp"]
-    assert [path.name for path in found.strays] == ["notes.txt"]
+def test_what_was_recorded_holds(runs: Path) -> None:
+    assert wrong(runs) == []
+    assert len(results.paths(runs)) == 2
 
 
-def test_an_empty_folder_is_whole(tmp_path: Path) -> None:
-    found = verify(Store(tmp_path), OF, find_executor("local", workers=2), quiet)
-    assert (found.shards, found.bytes, found.broken) == (0, 0, {})
+def digits(content: bytes) -> Iterator[int]:
+    """Yields the places of some digits, spread over a record."""
+    places = [i for i, byte in enumerate(content) if chr(byte).isdigit()]
+    yield from places[:: max(1, len(places) // 40)]
 
 
-def test_repair_mends_what_was_there_and_no_more(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    generate(store, OF, UNITS[:6], inline, quiet)
-    before = arrays(tmp_path)
-    flip(store.path(OF, UNITS[0]))
-    store.discard(OF, UNITS[1])
-    store.path(OF, UNITS[2]).unlink()
-    times = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.*")}
-    made = repair(store, OF, verify(store, OF, inline, quiet), inline, quiet)
-    assert set(made) == set(UNITS[:3])
-    assert arrays(tmp_path) == before
-    for unit in UNITS[3:6]:
-        path = store.path(OF, unit)
-        assert all(times[each] == each.stat().st_mtime_ns for each in (path, path.with_suffix(".json")))
-    assert repair(store, OF, verify(store, OF, inline, quiet), inline, quiet) == []
+def test_one_digit_edited_by_hand_is_rejected_wherever_it_is(runs: Path) -> None:
+    path = mine(runs)
+    whole = path.read_bytes()
+    for place in digits(whole):
+        digit = b"1" if whole[place : place + 1] != b"1" else b"2"
+        path.write_bytes(whole[:place] + digit + whole[place + 1 :])
+        assert wrong(runs), whole[max(0, place - 30) : place + 10]
+    path.write_bytes(whole)
+    assert wrong(runs) == []
 
 
-def test_repair_of_a_scale_adds_what_it_misses(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    generate(store, OF, UNITS[:6], inline, quiet)
-    flip(store.path(OF, UNITS[0]))
-    made = repair(store, OF, verify(store, OF, inline, quiet), inline, quiet, scale="mini")
-    assert (made[0], set(made[1:])) == (UNITS[0], set(UNITS[6:]))
-    found = verify(store, OF, inline, quiet)
-    assert (found.shards, found.broken) == (len(UNITS), {})
+def first_cell(key: str, factor: float) -> Callable[[dict[str, Any]], None]:
+    """Returns an edit of a number of the first cell."""
+
+    def change(content: dict[str, Any]) -> None:
+        content["cells"][0][key] *= factor
+
+    return change
 
 
-def test_a_repair_that_is_stopped_loses_nothing(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    generate(store, OF, UNITS[:4], inline, quiet)
-    before = arrays(tmp_path)
-    for unit in UNITS[:4]:
-        store.path(OF, unit).unlink()
-
-    def stop(done: int, _: int) -> None:
-        if done:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        repair(store, OF, verify(store, OF, inline, quiet), inline, stop)
-    found = verify(store, OF, inline, quiet)
-    assert len(found.broken) == 3, "what is not mended yet is still known"
-    repair(store, OF, found, inline, quiet)
-    assert arrays(tmp_path) == before
+def better_domains(content: dict[str, Any]) -> None:
+    """Halves the errors of all domains, and makes the cell follow from them."""
+    for cell in content["cells"]:
+        domains = cell["domains"]
+        for name in ("mse", "euclidean"):
+            domains[name] = [float(f"{value / 4:.9g}") for value in domains[name]]
+            cell[name] = float(np.mean(domains[name]))
+        cell["skill"] = 1 - sum(domains["mse"]) / sum(domains["persistence_mse"])
 
 
-def test_what_has_appeared_meanwhile_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    store, unit = Store(tmp_path), UNITS[0]
-    write(store, OF, unit)
-    before = files(tmp_path)
-    monkeypatch.setattr("dlobench.data.generate.simulate", None)  # nothing is simulated
-    make_unit(unit, store, OF)
-    assert files(tmp_path) == before
-    flip(store.path(OF, unit).with_suffix(".json"))
-    with pytest.raises(Broken):
-        make_unit(unit, store, OF)
+def worse_persistence(content: dict[str, Any]) -> None:
+    """Doubles the errors of persistence, by which skill is measured."""
+    for cell in content["cells"]:
+        domains = cell["domains"]
+        domains["persistence_mse"] = [2 * value for value in domains["persistence_mse"]]
+        cell["skill"] = 1 - sum(domains["mse"]) / sum(domains["persistence_mse"])
 
 
-def test_whoever_comes_first_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As when another process has written the shard while this one was still simulating."""
-    from dlobench.data import generate as module
-
-    store, unit, real = Store(tmp_path), UNITS[0], module.simulate_unit
-
-    def late(of: object, unit: object) -> object:
-        write(store, OF, UNITS[0])
-        return real(OF, UNITS[0])
-
-    monkeypatch.setattr(module, "simulate_unit", late)
-    make_unit(unit, store, OF)
-    first = store.load(OF, unit)
-    store.discard(OF, unit)
-    assert (first.dlo == write(store, OF, unit).dlo).all()
+EDITS: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
+    "skill": (first_cell("skill", 1.01), "skill is"),
+    "mse": (first_cell("mse", 0.99), "mse is"),
+    "domains": (better_domains, "times as much as the record says of all"),
+    "persistence": (worse_persistence, "persistence errs by"),
+    "sample": (lambda c: c["cells"][0]["sample"].update(mse=1e-9), "the kept predictions score"),
+    "split": (lambda c: c["provenance"].update(split_sha256="0" * 64), "its split is not that of meta"),
+    "data": (lambda c: c["provenance"].update(data_sha256="0" * 64), "its data are not those of meta"),
+    "version": (lambda c: c.update(task_version=2), "version 2 of meta, which has version 1"),
+    "plugin": (lambda c: c["provenance"].update(plugin_sha256="0" * 64), "the plugin at plugin.py is not the one"),
+    "predictions": (lambda c: c.update(predictions_sha256="0" * 64), "are not those that it was recorded with"),
+    "none": (lambda c: c.update(predictions_sha256=None), "no predictions stand beside it"),
+}
 
 
-def test_two_generators_share_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whenever one simulates a shard, the other makes one at the same time; neither knows of the other."""
-    from dlobench.data import generate as module
+@pytest.mark.parametrize("what", EDITS)
+def test_an_edit_with_a_seal_that_fits_is_rejected(what: str, runs: Path) -> None:
+    change, why = EDITS[what]
+    resealed(mine(runs), change)
+    found = wrong(runs)
+    assert any(why in one for one in found), found
 
-    store, made, busy = Store(tmp_path), list[Unit](), list[bool]()
-    walk = fake(OF.domain(0), 1, pushes=OF.pushes)
-    other: Iterator[object] = iter(())
 
-    def simulate(of: object, unit: Unit) -> object:
-        made.append(unit)
-        if not busy:
-            busy.append(True)
-            next(other, None)
-            busy.clear()
-        return walk, Account(0, 0, 0)
+def test_other_predictions_than_the_task_says_are_rejected(runs: Path) -> None:
+    path = mine(runs).with_suffix(".safetensors")
+    there = kept.read(path)
+    easier = [replace(one, windows=one.windows + np.int32(1)) for one in there]
+    for predictions, why in (
+        (easier, "other windows of"),
+        (there[1:], "other domains"),
+        (there[::-1], "other domains"),
+    ):
+        kept.write(path, predictions)
+        sha = hashlib.sha256(path.read_bytes()).hexdigest()
+        resealed(mine(runs), lambda content, sha=sha: content.update(predictions_sha256=sha))  # type: ignore[misc]
+        assert any(why in one for one in wrong(runs))
 
-    def step(function: Callable[[Any], Any], work: Iterable[Any]) -> Iterator[Any]:
-        nonlocal other
-        other = map(function, work)
-        return iter(())
 
-    monkeypatch.setattr(module, "simulate_unit", simulate)
-    of = tiny(64)
-    generate(store, of, units(of), step, quiet)
-    generate(store, of, units(of), inline, quiet)
-    assert set(made) == set(units(of))
-    assert len(made) < 1.25 * len(units(of)), "twice as many, did both go the same way"
+def test_a_truth_of_ones_own_is_rejected(runs: Path) -> None:
+    path = mine(runs).with_suffix(".safetensors")
+    kept.write(path, [replace(one, true=one.dlo.copy()) for one in kept.read(path)])
+    sha = hashlib.sha256(path.read_bytes()).hexdigest()
+    resealed(mine(runs), lambda content: content.update(predictions_sha256=sha))
+    found = wrong(runs)
+    assert any("the truth of meta-learning/" in one for one in found), found
+
+
+def test_a_copy_under_another_name_is_told(runs: Path) -> None:
+    path = mine(runs)
+    copy = path.parent.with_name(path.parent.name.replace("mine@", "better@"))
+    shutil.copytree(path.parent, copy)
+    resealed(copy / "seed0.json", lambda content: content.update(model="better"))
+    assert any("predictions are those of better" in one for one in wrong(runs))
+
+
+def test_a_task_that_nobody_has_is_rejected(runs: Path) -> None:
+    path = mine(runs)
+    other = runs / "mytask" / "mini" / path.parent.name
+    shutil.copytree(path.parent, other)
+    resealed(other / "seed0.json", lambda content: content.update(task="mytask"))
+    assert any("no task is called 'mytask'" in one for one in wrong(runs))
+
+
+def test_a_submission_is_packed_verified_and_added(runs: Path, tmp_path: Path, call: Call) -> None:  # noqa: F811
+    one, other, board = tmp_path / "one.zip", tmp_path / "other.zip", tmp_path / "board"
+    assert submission.pack([mine(runs)], runs, one) == submission.pack([mine(runs)], runs, other)
+    assert one.read_bytes() == other.read_bytes()
+    done = call("leaderboard", "verify", one)
+    assert (done.code, "1 record holds" in done.out) == (0, True)
+    assert call("leaderboard", "add", one, "--results", board).code == 0
+    assert [record.model for record in results.read_all(board)] == ["mine"]
+    assert not list(board.rglob("seed0/*")), "weights stay behind"
+    assert (mine(board).with_name("plugin.py")).is_file()
+    assert wrong(board) == []
+    again = call("leaderboard", "add", one, "--results", board)
+    assert (again.code, "is there already" in again.err) == (1, True)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "../../evil.json",
+        "/etc/passwd",
+        "meta/mini/mine@00000000/run.sh",
+        "meta/mini/mine@00000000/seed0/../../x.safetensors",
+    ],
+)
+def test_a_submission_that_reaches_outside_is_refused(name: str, tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "bad.zip", "w") as file:
+        file.writestr(name, b"x")
+    with pytest.raises(RunError, match="is no submission: it holds"):
+        submission.unpack(tmp_path / "bad.zip", tmp_path / "out", weights=True)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("content", [b"", b"PK", b"{}"])
+def test_what_is_no_zip_is_refused(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "bad.zip").write_bytes(content)
+    with pytest.raises(RunError, match="is no submission"):
+        submission.unpack(tmp_path / "bad.zip", tmp_path / "out", weights=True)
+
+
+def test_a_submission_that_does_not_hold_is_not_added(runs: Path, tmp_path: Path, call: Call) -> None:  # noqa: F811
+    resealed(mine(runs), first_cell("skill", 1.01))
+    submission.pack([mine(runs)], runs, tmp_path / "bad.zip")
+    done = call("leaderboard", "add", tmp_path / "bad.zip", "--results", tmp_path / "board")
+    assert (done.code, "skill is" in done.err) == (1, True)
+    assert not (tmp_path / "board").exists()
+    done = call("leaderboard", "verify", tmp_path / "bad.zip")
+    assert (done.code, "REJECTED" in done.out) == (1, True)
+
+
+def test_fresh_domains_are_new_and_tell_who_was_fitted_to_the_old(runs: Path, mini: Path, call: Call) -> None:  # noqa: F811
+    path = mine(runs)
+    done = call("leaderboard", "verify", "--fresh", 7, path, "--data", mini)
+    assert done.code == 0, done.err
+    assert done.out.count("holds") == 3 + 1
+    assert [folder.name for folder in mini.glob("meta-learning-fresh7-*")]
+    resealed(path, cheated)
+    done = call("leaderboard", "verify", "--fresh", 7, path, "--data", mini)
+    assert done.code == 1
+    shutil.rmtree(path.with_suffix(""))
+    done = call("leaderboard", "verify", "--fresh", 7, mine(runs), "--data", mini)
+    assert done.code == 1
+
+
+def cheated(content: dict[str, Any]) -> None:
+    """Makes the record one of a model that knew the test domains, as far as its numbers go."""
+    better_domains(content)
+
+
+@pytest.mark.parametrize("name", ["", "My", "1a", "a-b", "../a", "class", "a b"])
+def test_odd_names_of_models_are_refused(name: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="is no name of a model"):
+        template.write(name, tmp_path)
+
+
+def test_a_new_model_is_short_and_writes_over_nothing(tmp_path: Path) -> None:
+    path = template.write("my_model", tmp_path)
+    text = path.read_text()
+    assert len(text.splitlines()) <= 40
+    assert "class MyModel(Model)" in text
+    with pytest.raises(UsageError, match="is there already"):
+        template.write("my_model", tmp_path)
+    assert path.read_text() == text

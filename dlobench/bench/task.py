@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from dlobench.bench.calibration import SAMPLES
+from dlobench.bench.regions import Region
 from dlobench.data.domain_set import PARTS, Cell, DomainSet, Part, ScaleName, Span
 from dlobench.data.imported_set import ImportedSet
 from dlobench.data.sets import find
@@ -33,21 +34,6 @@ class Noise:
 
     position: float  # m, of x and of y
     yaw: float  # rad
-
-
-@dataclass(frozen=True)
-class Region:
-    """Names a part of the space of domains: a parameter has one of some values, or lies outside of a range."""
-
-    name: str
-    parameter: str  # a field of the domain
-    values: tuple[object, ...] = ()
-    outside: tuple[float, float] | None = None
-
-    def holds(self, of: DomainSet, index: int) -> bool:
-        """Tells whether domain `index` lies in it; raises `UsageError` where the set does not know its parameters."""
-        value = getattr(of.domain(index), self.parameter)
-        return value in self.values if self.outside is None else not self.outside[0] <= value <= self.outside[1]
 
 
 @dataclass(frozen=True)
@@ -83,11 +69,15 @@ class Task:
     noise: Noise | None = None  # of what is measured: of validation, support and query, never of the truth
     left_out: tuple[Region, ...] = ()  # each is a fit more, which trains outside of it and is tested inside
     imported: ImportedSet | None = None  # the set, where it is none of ours
+    fresh: int | None = None  # seed of sets that are like the task's, but new
 
     @property
     def of(self) -> DomainSet:
         """Returns the set that the task reads."""
-        return find(self.set) if self.imported is None else self.imported
+        return self._set(self.set) if self.imported is None else self.imported
+
+    def _set(self, name: str) -> DomainSet:
+        return find(name) if self.fresh is None else find(name).fresh(self.fresh)
 
     @property
     def samples(self) -> int:
@@ -96,7 +86,7 @@ class Task:
 
     def set_of(self, part: Part) -> DomainSet:
         """Returns the set that a part is read from."""
-        return self.of if self.futures is None or part != "test" else find(self.futures)
+        return self.of if self.futures is None or part != "test" else self._set(self.futures)
 
     def on(self, imported: ImportedSet) -> Task:
         """Returns the task on an imported set, whose every byte its name tells: a board never mixes it with another.

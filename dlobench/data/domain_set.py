@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import version
 from typing import Any, Literal, get_args
@@ -143,6 +143,10 @@ class DomainSet:
     def seed(self, domain: int, trajectory: int) -> list[int]:
         """Returns the seed of one trajectory."""
         return [*self._seed, domain, trajectory]
+
+    def fresh(self, seed: int) -> DomainSet:
+        """Returns a set like this one whose domains and trajectories nobody has seen: they come from another name."""
+        return replace(self, name=f"{self.name}-fresh{seed}")
 
     def spans(self, scale: ScaleName) -> list[Span]:
         """Returns what a scale takes, in an order that visits every cell before it comes back to the first."""
