@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: help run test lint type unit faults validate bench bench-data bench-world bench-step clean
+.PHONY: help run test lint type unit leaderboard faults validate bench bench-data bench-world bench-step clean
 
 help:  ## Show what can be made
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -17,7 +17,7 @@ $(VENV)/installed: pyproject.toml constraints.txt
 run: $(VENV)/installed  ## From nothing to a leaderboard row (add options by ARGS="--max-steps 500")
 	$(BIN)/dlobench run --task meta --model maml --K 10 $(ARGS)
 
-test: lint type unit  ## Lint, types and tests
+test: lint type leaderboard unit  ## Lint, types, the committed board and tests
 
 lint: $(VENV)/installed  ## Ruff: rules and format
 	$(BIN)/ruff check .
@@ -28,6 +28,11 @@ type: $(VENV)/installed  ## Mypy, strict
 
 unit: $(VENV)/installed  ## The tests alone
 	$(BIN)/pytest --durations=8
+
+leaderboard: $(VENV)/installed  ## Verify the committed records, rebuild board and page, and fail on a difference
+	$(BIN)/dlobench leaderboard verify
+	$(BIN)/dlobench leaderboard build
+	git diff --exit-code --stat -- leaderboard
 
 faults: $(VENV)/installed  ## Kills, flipped bytes, full disks, lost nodes: all rounds (2 minutes)
 	DLOBENCH_FAULTS=1 $(BIN)/pytest -m faults --durations=8

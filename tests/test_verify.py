@@ -14,9 +14,16 @@ from typing import Any
 import numpy as np
 import pytest
 from test_cli import Call, call, mini  # noqa: F401  # fixtures
+from test_journal import Quiet
+from test_store import write
 
 from dlobench.bench import kept, results, submission, template
+from dlobench.bench.fresh import Fresh, fresh
+from dlobench.bench.plugins import load_model, load_task
+from dlobench.bench.record import Record
 from dlobench.bench.verify import verify
+from dlobench.data.executors import find_executor
+from dlobench.data.store import Store
 from dlobench.errors import RunError, UsageError
 
 
@@ -218,23 +225,39 @@ def test_a_submission_that_does_not_hold_is_not_added(runs: Path, tmp_path: Path
     assert (done.code, "REJECTED" in done.out) == (1, True)
 
 
-def test_fresh_domains_are_new_and_tell_who_was_fitted_to_the_old(runs: Path, mini: Path, call: Call) -> None:  # noqa: F811
+def test_fresh_domains_tell_who_was_fitted_to_the_old(runs: Path, mini: Path, call: Call, tmp_path: Path) -> None:  # noqa: F811
     path = mine(runs)
-    done = call("leaderboard", "verify", "--fresh", 7, path, "--data", mini)
+    data = Store(shutil.copytree(mini, tmp_path / "copied"))
+    task = replace(load_task("meta"), fresh=7)
+    for unit in task.of.units(task.spans("mini")["test"]):
+        write(data, task.of, unit)
+    done = call("leaderboard", "verify", "--fresh", 7, path, "--data", data.root)
     assert done.code == 0, done.err
     assert done.out.count("holds") == 3 + 1
-    assert [folder.name for folder in mini.glob("meta-learning-fresh7-*")]
-    resealed(path, cheated)
-    done = call("leaderboard", "verify", "--fresh", 7, path, "--data", mini)
-    assert done.code == 1
+    record, plugin = results.read(path, runs), load_model(str(path.with_name("plugin.py")))
+
+    def compared(record: Record) -> list[Fresh]:
+        executor = find_executor("local", workers=1)
+        return fresh(record, path, plugin, 7, data, executor=executor, reporter=Quiet())
+
+    assert all(one.holds for one in compared(record))
+    resealed(path, better_domains)  # as of a model that knew the test domains
+    found = compared(results.read(path, runs))
+    assert len(found) == 3
+    assert all(not one.holds and one.fresh < one.recorded for one in found)
     shutil.rmtree(path.with_suffix(""))
-    done = call("leaderboard", "verify", "--fresh", 7, mine(runs), "--data", mini)
-    assert done.code == 1
+    with pytest.raises(RunError, match="has no weights at"):
+        compared(record)
 
 
-def cheated(content: dict[str, Any]) -> None:
-    """Makes the record one of a model that knew the test domains, as far as its numbers go."""
-    better_domains(content)
+def test_fresh_sets_share_no_domain_with_the_set_and_are_the_same_again() -> None:
+    of = load_task("meta").of
+    new, again, other = of.fresh(7), of.fresh(7), of.fresh(8)
+    assert [new.domain(i) for i in range(30)] == [again.domain(i) for i in range(30)]
+    for one in (of, other):
+        assert not {new.domain(i) for i in range(60)} & {one.domain(i) for i in range(60)}
+    assert new.key != of.key
+    assert [new.cell(i) for i in range(60)] == [of.cell(i) for i in range(60)]
 
 
 @pytest.mark.parametrize("name", ["", "My", "1a", "a-b", "../a", "class", "a b"])
