@@ -55,6 +55,9 @@ def run(
     threads: Annotated[int, typer.Option(min=1, help="Threads of torch; small networks gain nothing from more.")] = 1,
     time_limit: TimeLimit = 6 * 3600.0,
     memory_limit: MemoryLimit = None,
+    wandb: Annotated[
+        str, typer.Option(help="Tell Weights & Biases of curves, scores and predictions: disabled, offline or online.")
+    ] = "disabled",
     force: Annotated[bool, typer.Option("--force", help="Run again what is recorded already.")] = False,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Record fits that fail, and go on.")] = False,
 ) -> None:
@@ -75,6 +78,7 @@ def run(
         workers=workers,
         threads=threads,
         limit=(time_limit, memory_limit),
+        wandb=wandb,
         force=force,
         keep_going=keep_going,
     )
@@ -147,6 +151,7 @@ def _records(
     on: str | None = None,
     device: str = "auto",
     threads: int = 1,
+    wandb: str = "disabled",
     force: bool = False,
     keep_going: bool = False,
 ) -> list[Record]:
@@ -157,6 +162,7 @@ def _records(
     from dlobench.bench.order import order, parse_seeds, resolve_device
     from dlobench.bench.plugins import load_task
     from dlobench.bench.sandbox import Sandbox
+    from dlobench.bench.tracking import tracker
     from dlobench.console import TerminalReporter
     from dlobench.data.executors import find_executor
     from dlobench.data.imported import check_whole, find_imported
@@ -164,7 +170,8 @@ def _records(
     from dlobench.nn.budget import Budget
 
     asked, store, numbers = load_task(task), open_store(data), parse_seeds(seeds)
-    with Sandbox(limits(*limit), hidden=[store.root, out], threads=threads) as sandbox:
+    told = tracker(wandb, out)
+    with told, Sandbox(limits(*limit), hidden=[store.root, out], threads=threads) as sandbox:
         imported = None if on is None else find_imported(store, on)
         wanted = order(
             asked if imported is None else asked.on(imported),
@@ -187,6 +194,7 @@ def _records(
                 command=_command(),
                 executor=find_executor("local", workers=workers),
                 reporter=TerminalReporter(),
+                tracker=told,
                 force=force,
                 keep_going=keep_going,
             )

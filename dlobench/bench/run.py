@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from dlobench import machine
 from dlobench.bench import kept, results, weights
@@ -18,6 +18,7 @@ from dlobench.bench.kept import Kept
 from dlobench.bench.order import Order, recordable
 from dlobench.bench.record import CellScore, Failure, Provenance, Record
 from dlobench.bench.task import Fit, split_digest
+from dlobench.bench.tracking import Tracker
 from dlobench.data.ensure import Reporter, ensure_data
 from dlobench.data.executors import Executor
 from dlobench.data.store import Store, atomic_write
@@ -54,6 +55,7 @@ def run(
     executor: Executor,
     reporter: Reporter,
     fitting: Fitting = one_by_one,
+    tracker: Tracker | None = None,
     force: bool = False,
     keep_going: bool = False,
 ) -> Record:
@@ -90,27 +92,20 @@ def run(
     journal = Journal.beside(path)
     if force:
         journal.remove()
+    tracker = tracker or Tracker()
+    tracker.begin(f"{task.name}-{order.scale}-{path.parent.name}", order.seed, _told(order, data_sha256, split_sha256))
     finished, failures = journal.read(), list[Failure]()
-    missing = [
-        (f"{number}/{len(order.fits)} " if len(order.fits) > 1 else "", fit)
-        for number, fit in enumerate(order.fits, 1)
-        if _key(order, fit) not in finished
-    ]
-    for fit, outcome in fitting(order, missing, store, reporter):
-        key = _key(order, fit)
-        if isinstance(outcome, RunError):
+    for fit, one in _fitted(order, finished, store, fitting, reporter):
+        if isinstance(one, RunError):
             if not keep_going:
-                raise outcome
-            where = dict(zip(("trajectories", "horizon", "domain", "without"), key, strict=True))
-            failures.append(Failure(**where, error=str(outcome)))  # type: ignore[arg-type]
-            reporter.say(f"failed: {outcome}")
+                raise one
+            failures.append(_failure(order, fit, str(one)))
+            reporter.say(f"failed: {one}")
             continue
-        if outcome.state is None:
-            reporter.say(f"weights: none are kept of {fit_name(fit)}: {outcome.lacking}")
-        else:
-            weights.write(path.with_suffix("") / f"{fit_name(fit)}.safetensors", outcome.state)
-        journal.append(outcome.finished, fit_name(fit), outcome.kept)
-        finished[key] = outcome.finished
+        if isinstance(one, Outcome):
+            _keep(one, fit_name(fit), path, journal, reporter)
+            finished[_key(order, fit)] = one.finished
+        tracker.fitted(fit_name(fit), finished[_key(order, fit)].fit)
     some = [one for fit in order.fits if _key(order, fit) in finished for one in journal.kept(fit_name(fit))]
     cells = _cells(order, finished, some)
     if not cells:
@@ -118,7 +113,8 @@ def run(
     atomic_write(path.with_name("plugin.py"), plugin)
     names = [cell.id for cell in cells]
     predictions = path.with_suffix(".safetensors")
-    kept.write(predictions, sorted((one for one in some if one.cell in names), key=lambda one: names.index(one.cell)))
+    some = sorted((one for one in some if one.cell in names), key=lambda one: names.index(one.cell))
+    kept.write(predictions, some)
     commit, dirty = results.checkout()
     record = Record(
         task=task.name,
@@ -152,9 +148,54 @@ def run(
         ),
     )
     reporter.say(f"run: recorded {results.write(record, out)}")
+    tracker.recorded(record, some)
     if not failures:
         journal.remove()
     return record
+
+
+def _fitted(
+    order: Order, finished: Mapping[Key, Finished], store: Store, fitting: Fitting, reporter: Reporter
+) -> Iterator[tuple[Fit, Finished | Outcome | RunError]]:
+    """Yields what is finished already, then what comes of the other fits."""
+    missing = list[tuple[str, Fit]]()
+    for number, fit in enumerate(order.fits, 1):
+        if _key(order, fit) in finished:
+            yield fit, finished[_key(order, fit)]
+        else:
+            missing.append((f"{number}/{len(order.fits)} " if len(order.fits) > 1 else "", fit))
+    yield from fitting(order, missing, store, reporter)
+
+
+def _failure(order: Order, fit: Fit, error: str) -> Failure:
+    trajectories, horizon, domain, without = _key(order, fit)
+    return Failure(trajectories=trajectories, horizon=horizon, domain=domain, without=without, error=error)
+
+
+def _keep(outcome: Outcome, name: str, path: Path, journal: Journal, reporter: Reporter) -> None:
+    """Writes what came of a fit: weights beside the record to be, the rest into the journal."""
+    if outcome.state is None:
+        reporter.say(f"weights: none are kept of {name}: {outcome.lacking}")
+    else:
+        weights.write(path.with_suffix("") / f"{name}.safetensors", outcome.state)
+    journal.append(outcome.finished, name, outcome.kept)
+
+
+def _told(order: Order, data_sha256: str, split_sha256: str) -> dict[str, Any]:
+    """Returns the configuration that a tracker is told."""
+    return {
+        "task": order.task.name,
+        "task_version": order.task.version,
+        "scale": order.scale,
+        "model": order.plugin.name,
+        "seed": order.seed,
+        "K": list(order.K),
+        "hyperparameters": recordable(order.hyperparameters),
+        "budget": asdict(order.budget),
+        "data_sha256": data_sha256,
+        "split_sha256": split_sha256,
+        "versions": machine.versions(),
+    }
 
 
 def _key(order: Order, fit: Fit) -> Key:
