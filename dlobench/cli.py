@@ -18,8 +18,9 @@ from dlobench.cli_board import leaderboard_app
 from dlobench.cli_compare import compare
 from dlobench.cli_data import data_app, generate
 from dlobench.cli_look import list_app
+from dlobench.cli_new import new_app
 from dlobench.cli_render import render
-from dlobench.cli_run import MemoryLimit, TimeLimit, new_app, run, submit
+from dlobench.cli_run import MemoryLimit, TimeLimit, run, submit
 from dlobench.cli_validate import validate
 from dlobench.cli_verify import leaderboard_add, leaderboard_verify
 from dlobench.errors import RunError, UsageError

@@ -1,4 +1,4 @@
-"""Speaks the verbs of who has a model: `dlobench new model`, `dlobench run` and `dlobench submit`."""
+"""Speaks the verbs that run models: `dlobench run` and `dlobench submit`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from dlobench.cli_store import Workers
 from dlobench.errors import RunError, UsageError
 
 if TYPE_CHECKING:
+    from dlobench.bench.limits import Limits
     from dlobench.bench.record import Record
+    from dlobench.bench.run import Fitting
 
 TimeLimit = Annotated[float, typer.Option(help="Seconds that each call into the plugin may take.")]
 MemoryLimit = Annotated[
@@ -31,8 +33,6 @@ Seeds = Annotated[
 Settings = Annotated[list[str] | None, typer.Option("--set", metavar="FIELD=VALUE", help="A hyperparameter.")]
 MaxMinutes = Annotated[float | None, typer.Option(min=0.0, help="Stop every fit after so many minutes.")]
 Out = Annotated[Path, typer.Option(help="Where records and their leaderboard go.")]
-
-new_app = typer.Typer(help="Write a plugin to begin with.", no_args_is_help=True)
 
 
 def run(
@@ -52,6 +52,13 @@ def run(
     out: Out = Path("runs"),
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
     workers: Workers = None,
+    executor: Annotated[
+        str, typer.Option(help="Where fits are made: local, one after the other, or ray, many at once.")
+    ] = "local",
+    address: Annotated[
+        str | None,
+        typer.Option(metavar="HOST:PORT", help="The Ray cluster to use. Default: one of its own on this machine."),
+    ] = None,
     threads: Annotated[int, typer.Option(min=1, help="Threads of torch; small networks gain nothing from more.")] = 1,
     time_limit: TimeLimit = 6 * 3600.0,
     memory_limit: MemoryLimit = None,
@@ -76,6 +83,8 @@ def run(
         out=out,
         device=device,
         workers=workers,
+        executor=executor,
+        address=address,
         threads=threads,
         limit=(time_limit, memory_limit),
         wandb=wandb,
@@ -123,17 +132,6 @@ def submit(
     typer.echo(f"{packed}: {len(paths)} record{'s' * (len(paths) > 1)}, {size / 1e6:.1f} MB; it holds")
 
 
-@new_app.command("model")
-def new_model(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="What the model is to be called: its file is NAME.py.")],
-) -> None:
-    """Write a model plugin to begin with: a linear model of some 30 lines, without PyTorch, that keeps the contract."""
-    from dlobench.bench import template
-
-    path = template.write(name, Path())
-    typer.echo(f"{path}: `dlobench check {path}`, then `dlobench run --task meta --model {path}`")
-
-
 def _records(
     task: str,
     model: str,
@@ -150,6 +148,8 @@ def _records(
     horizon: int | None = None,
     on: str | None = None,
     device: str = "auto",
+    executor: str = "local",
+    address: str | None = None,
     threads: int = 1,
     wandb: str = "disabled",
     force: bool = False,
@@ -170,8 +170,9 @@ def _records(
     from dlobench.nn.budget import Budget
 
     asked, store, numbers = load_task(task), open_store(data), parse_seeds(seeds)
-    told = tracker(wandb, out)
-    with told, Sandbox(limits(*limit), hidden=[store.root, out], threads=threads) as sandbox:
+    told, allowed = tracker(wandb, out), limits(*limit)
+    fitting = _fitting(executor, address, workers, allowed, threads)
+    with told, Sandbox(allowed, hidden=[store.root, out], threads=threads) as sandbox:
         imported = None if on is None else find_imported(store, on)
         wanted = order(
             asked if imported is None else asked.on(imported),
@@ -194,6 +195,7 @@ def _records(
                 command=_command(),
                 executor=find_executor("local", workers=workers),
                 reporter=TerminalReporter(),
+                fitting=fitting,
                 tracker=told,
                 force=force,
                 keep_going=keep_going,
@@ -205,6 +207,18 @@ def _records(
     cells = {cell.id for record in records for cell in record.cells}
     show(frame[frame["cell"].isin(cells) & (frame["scale"] == wanted.scale)])
     return records
+
+
+def _fitting(executor: str, address: str | None, workers: int | None, limits: Limits, threads: int) -> Fitting:
+    """Returns what makes the fits of a run."""
+    from dlobench.bench.run import one_by_one
+    from dlobench.bench.spread import spread
+    from dlobench.data.executors import find_executor
+
+    if executor not in ("local", "ray"):
+        raise UsageError(f"--executor {executor!r} makes no fits; there are: local, ray")
+    chosen = find_executor(executor, workers=workers, address=address)
+    return one_by_one if executor == "local" else spread(chosen, limits, threads=threads)
 
 
 def _check_out(out: Path, max_minutes: float | None) -> None:

@@ -15,7 +15,8 @@ FLOORS = {
     "data": 3, "validation": 3,
     "bench": 4,
     "console": 5, "cli_board": 5, "cli_compare": 5, "cli_data": 5, "cli_describe": 5, "cli_exchange": 5,
-    "cli_look": 5, "cli_render": 5, "cli_run": 5, "cli_verify": 5, "cli_store": 5, "cli_validate": 5, "cli": 5,
+    "cli_look": 5, "cli_new": 5, "cli_render": 5, "cli_run": 5, "cli_store": 5, "cli_validate": 5,
+    "cli_verify": 5, "cli": 5,
 }  # fmt: skip
 MODULES = sorted((ROOT / "dlobench").rglob("*.py"))
 PLUGINS = [path for kind in ("models", "tasks") for path in sorted((ROOT / kind).glob("*.py"))]
