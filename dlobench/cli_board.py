@@ -35,10 +35,11 @@ def leaderboard_build(
     if page:
         from dlobench.bench.page import build
         from dlobench.bench.page.libraries import MissingError
+        from dlobench.bench.page.shown import shown
         from dlobench.data.store import atomic_write
 
         try:
-            content = build(records, frame)
+            content = build(records, frame, shown(records, frame, results or COMMITTED_RESULTS))
         except MissingError as error:
             typer.echo(f"no page is written: {error}")
             return
