@@ -234,5 +234,11 @@ def _check_out(out: Path, max_minutes: float | None) -> None:
 
 
 def _command() -> str:
-    """Returns the command that was given, as records hold it."""
-    return shlex.join(["dlobench", *sys.argv[1:]]).encode(errors="backslashreplace").decode()
+    """Returns the command that was given, as records hold it: without the folders of this machine."""
+    kept, words = ["dlobench"], iter(sys.argv[1:])
+    for word in words:
+        if word in ("--data", "--out"):
+            next(words, None)
+        elif not word.startswith(("--data=", "--out=")):
+            kept.append(word)
+    return shlex.join(kept).encode(errors="backslashreplace").decode()

@@ -341,6 +341,8 @@ def test_a_run_leaves_a_record_and_a_leaderboard_and_is_reused(call: Call, mini:
     (record,) = results.read_all(out)
     path = record.path(out)
     assert (record.task, record.scale, record.model, record.seed) == ("meta", "mini", "persistence", 0)
+    assert "--task meta" in record.provenance.command
+    assert str(tmp_path) not in record.provenance.command, "folders of a machine are nobody else's"
     assert [cell.K for cell in record.cells] == [0, 1, 10]
     assert all(abs(cell.skill) < 1e-12 and cell.mse > 0 and len(cell.domains) == 18 for cell in record.cells)
     assert record.provenance.command.startswith("dlobench run --task meta --model persistence")
