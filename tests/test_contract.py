@@ -15,6 +15,7 @@ from dlobench.trajectories import Trajectories
 FILES = sorted((Path(__file__).parents[1] / "models").glob("[!_]*.py"))
 FITS = "fits on three domains, validating on one"
 PREDICTS = "predicts finite float arrays of (1, B, 32, 2)"
+SAMPLED = "asked for 99 samples, predicts as many, or one"
 TWICE = "predicts the same twice"
 UNTOUCHED = "leaves the query as it was"
 PERMUTED = "permuted queries give permuted predictions"
@@ -23,7 +24,7 @@ UNCHANGED = "adapting leaves the model as it was"
 FORGETFUL = "adapting depends on nothing before"
 SEEDED = "the same seed gives the same model"
 COUNTS = "counts its parameters"
-ALL = [FITS, PREDICTS, TWICE, UNTOUCHED, PERMUTED, ADAPTS, UNCHANGED, FORGETFUL, SEEDED, COUNTS]
+ALL = [FITS, PREDICTS, SAMPLED, TWICE, UNTOUCHED, PERMUTED, ADAPTS, UNCHANGED, FORGETFUL, SEEDED, COUNTS]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -78,6 +79,9 @@ class Mine(Model):
         return 1
 """
 RETURN = "        return Pred"
+THREE = """        if samples > 1:
+            return Prediction(dlo=np.repeat(query.dlo[None, ..., :2], 3, axis=0))
+"""
 BREAKS = {
     "changes itself in adapt": ("        return Mine(offset=self.offset + len(support))",
                                 "        self.offset += len(support)\n        return self", {UNCHANGED}),
@@ -87,15 +91,16 @@ BREAKS = {
     "depends on the place in the batch": (
         "np.float32(self.offset)", "np.arange(len(query), dtype=np.float32)[:, None, None]", {PERMUTED}),
     "depends on its neighbours": ("np.float32(self.offset)", "query.actions[:1, :1] * 1000", {PERMUTED}),
-    "returns NaN": ("np.float32(self.offset)", "np.float32('nan')", {PREDICTS}),
+    "returns NaN": ("np.float32(self.offset)", "np.float32('nan')", {PREDICTS, SAMPLED}),
     "returns NaN after adapting": ("self.offset + len(support)", "float('nan')", {ADAPTS}),
-    "returns the yaw too": ("query.dlo[None, ..., :2]", "query.dlo[None]", {PREDICTS}),
-    "returns no samples": ("query.dlo[None, ..., :2]", "query.dlo[..., :2]", {PREDICTS}),
+    "returns the yaw too": ("query.dlo[None, ..., :2]", "query.dlo[None]", {PREDICTS, SAMPLED}),
+    "returns no samples": ("query.dlo[None, ..., :2]", "query.dlo[..., :2]", {PREDICTS, SAMPLED}),
     "forgets to return from adapt": ("return Mine(offset=self.offset + len(support))", "pass", {ADAPTS}),
     "ignores its seed": ("np.random.default_rng(self.seed)", "np.random.default_rng()", {SEEDED}),
     "raises in fit": ("self.offset = float", "raise OSError('moon')\n        self.offset = float", {FITS}),
-    "raises in predict": (RETURN, "        raise OSError('moon')\n        return Pred", {PREDICTS}),
+    "raises in predict": (RETURN, "        raise OSError('moon')\n        return Pred", {PREDICTS, SAMPLED}),
     "raises in adapt": ("        return Mine(", "        raise OSError('moon')\n        return Mine(", {ADAPTS}),
+    "returns three samples": (RETURN, THREE + RETURN, {SAMPLED}),
     "counts no parameters": ("        return 1", "        return None", {COUNTS}),
     "counts a negative number": ("        return 1", "        return -1", {COUNTS}),
 }  # fmt: skip

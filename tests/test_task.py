@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from dlobench.bench.plugins import load_task
@@ -35,6 +35,26 @@ def everything(task: Task, scale: ScaleName) -> list[Span]:
 # Definitions, not outputs: they must be these on every machine. A change here changes a published task.
 META_MINI_SPLIT = "c4173998cb98a6d8b78f4cdf00a72cf533d98080bbc5541124d2030b2b08f7ff"
 META_MINI_DATA = "bcadb528db084e46c0295f1d75ad4eeb9d6420ddb71bb1f33835ec41ae17f447"
+PUBLISHED = {  # the first digits of split and data
+    ("distribution", "mini"): ("1fcca6aed928cb99", "5f8d4b040f8eefa1"),
+    ("distribution", "small"): ("3ec98d4272203442", "ccc418c78647f291"),
+    ("horizon_sweep", "mini"): ("d51b47b811521e12", "50ee67e2e2371edd"),
+    ("horizon_sweep", "small"): ("2ed7b97cab240503", "801ab22327bc9ae5"),
+    ("length_sweep", "mini"): ("9579f59f8de6e0a4", "ee540c57b1c1abe2"),
+    ("length_sweep", "small"): ("65c2d9aee954d789", "8348357ff2fb89fa"),
+    ("meta", "mini"): ("c4173998cb98a6d8", "bcadb528db084e46"),
+    ("meta", "small"): ("05815637d5c05413", "6a42122c5b9e8de4"),
+    ("meta_noisy", "mini"): ("c4173998cb98a6d8", "bcadb528db084e46"),
+    ("meta_noisy", "small"): ("05815637d5c05413", "6a42122c5b9e8de4"),
+    ("meta_objects", "mini"): ("e1939aa709e43c3c", "ccf9f9f46ac88a14"),
+    ("meta_objects", "small"): ("4f8486e3edc3149a", "0dab447e94ff4b01"),
+    ("ood", "mini"): ("e1939aa709e43c3c", "ccf9f9f46ac88a14"),
+    ("ood", "small"): ("4f8486e3edc3149a", "0dab447e94ff4b01"),
+    ("rollout", "mini"): ("d51b47b811521e12", "50ee67e2e2371edd"),
+    ("rollout", "small"): ("dee75cc81ffbe74e", "06ea00cd4143e0c1"),
+    ("single_domain", "mini"): ("d51b47b811521e12", "50ee67e2e2371edd"),
+    ("single_domain", "small"): ("2ed7b97cab240503", "801ab22327bc9ae5"),
+}
 DIGESTS = """
 from dlobench.bench.plugins import load_task
 from dlobench.bench.task import split_digest
@@ -43,6 +63,38 @@ from dlobench.data.sets import find
 spans = load_task("meta").spans("mini")
 print(split_digest(spans), find("meta-learning").digest(span for part in PARTS for span in spans[part]))
 """
+
+
+@pytest.mark.parametrize(("name", "scale"), PUBLISHED)
+def test_splits_and_data_are_the_published_ones(name: str, scale: ScaleName) -> None:
+    task = load_task(name)
+    spans = task.spans(scale)
+    assert (split_digest(spans)[:16], task.data_digest(spans)[:16]) == PUBLISHED[name, scale]
+
+
+def test_every_task_has_published_digests() -> None:
+    assert {name for name, _ in PUBLISHED} == {path.stem for path in FILES}
+
+
+@given(salt=st.text(max_size=8), trajectories=st.integers(1, 20), support=st.integers(0, 10), query=st.integers(1, 10))
+@settings(max_examples=25, deadline=None)
+def test_parts_never_overlap_whatever_the_salt_and_the_sizes(
+    salt: str, trajectories: int, support: int, query: int
+) -> None:
+    of = replace(META, salt=salt)
+    scale = Scale(trajectories=(trajectories,), support=support, query=query, K=(0,))
+    task = Task(
+        name="toy", version=1, set=META.name, horizon=(4,), where={"length": 0.16, "rigid_objects": 0},
+        mini=scale, small=scale, paper=scale, imported=of,  # type: ignore[arg-type]
+    )  # fmt: skip
+    spans = task.spans("mini")
+    domains = {part: {span.domain for span in spans[part]} for part in PARTS}
+    assert not domains["train"] & domains["valid"]
+    assert not domains["train"] & domains["test"]
+    assert not domains["valid"] & domains["test"]
+    assert len(set.union(*domains.values())) == 72
+    assert [len(domains[part]) for part in PARTS] == [45, 9, 18]
+    assert {span.count for span in spans["test"]} == {support + query}, "supports come first, then queries"
 
 
 def test_the_split_of_meta_mini_is_the_published_one() -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dlobench import domain
+from dlobench.bench.calibration import SAMPLES
 from dlobench.bench.evaluate import call, parameters, predict
 from dlobench.bench.model import Model, Setting
 from dlobench.bench.plugins import ModelPlugin
@@ -64,6 +65,8 @@ def check(plugin: ModelPlugin, again: Callable[[], ModelPlugin] | None = None) -
         return
     model = fitted[0]
     yield _outcome("predicts finite float arrays of (1, B, 32, 2)", lambda: predict(model, query, plugin.name))
+    name = f"asked for {SAMPLES} samples, predicts as many, or one"
+    yield _outcome(name, lambda: predict(model, query, plugin.name, SAMPLES))
     yield _outcome("predicts the same twice", lambda: _same(model, model, query, plugin.name))
     yield _outcome("leaves the query as it was", lambda: _untouched(model, query, plugin.name))
     yield _outcome("permuted queries give permuted predictions", lambda: _permuted(model, query, plugin.name))
