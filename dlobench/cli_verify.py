@@ -48,7 +48,7 @@ def leaderboard_verify(
                 inside = Path(scratch) / str(number)
                 groups.append((submission.unpack(file, inside, weights=True), inside))
                 names |= {path: f"{file}: {path.relative_to(inside)}" for path in groups[-1][0]}
-            elif len(file.parts) > 4 and file.suffix == ".json":
+            elif len(file.parts) >= 4 and file.suffix == ".json":
                 groups.append(([file], Path(*file.parts[:-4])))
             else:
                 raise UsageError(f"{file} is neither a record (…/task/scale/model@config/seed0.json) nor a .zip")
