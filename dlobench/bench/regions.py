@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
-from dlobench.data.domain_set import DomainSet
+from dlobench.data.domain_set import Cell, DomainSet
+
+
+@cache
+def _value(of: DomainSet, index: int, parameter: str) -> Any:
+    """Returns a parameter of a domain; of those that a whole cell has, without making the domain."""
+    return getattr(of.cell(index) if parameter in Cell.__dataclass_fields__ else of.domain(index), parameter)
 
 
 @dataclass(frozen=True)
@@ -18,5 +26,5 @@ class Region:
 
     def holds(self, of: DomainSet, index: int) -> bool:
         """Tells whether domain `index` lies in it; raises `UsageError` where the set does not know its parameters."""
-        value = getattr(of.domain(index), self.parameter)
+        value = _value(of, index, self.parameter)
         return value in self.values if self.outside is None else not self.outside[0] <= value <= self.outside[1]
