@@ -113,11 +113,30 @@ def worse_persistence(content: dict[str, Any]) -> None:
         cell["skill"] = 1 - sum(domains["mse"]) / sum(domains["persistence_mse"])
 
 
+def fewer_domains(content: dict[str, Any]) -> None:
+    """Leaves the worst domain out of every cell."""
+    for cell in content["cells"]:
+        domains = cell["domains"]
+        worst = int(np.argmax(domains["mse"]))
+        for values in domains.values():
+            del values[worst]
+        cell["mse"], cell["euclidean"] = (float(np.mean(domains[name])) for name in ("mse", "euclidean"))
+        cell["skill"] = 1 - sum(domains["mse"]) / sum(domains["persistence_mse"])
+
+
+def fewer_windows(content: dict[str, Any]) -> None:
+    """Says that fewer windows were scored."""
+    for cell in content["cells"]:
+        cell["domains"]["windows"] = [30] * len(cell["domains"]["windows"])
+
+
 EDITS: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "skill": (first_cell("skill", 1.01), "skill is"),
     "mse": (first_cell("mse", 0.99), "mse is"),
     "domains": (better_domains, "times as much as the record says of all"),
     "persistence": (worse_persistence, "persistence errs by"),
+    "fewer domains": (fewer_domains, "scored on 17 domains that are not the 18 of the task"),
+    "fewer windows": (fewer_windows, "30 windows"),
     "sample": (lambda c: c["cells"][0]["sample"].update(mse=1e-9), "the kept predictions score"),
     "split": (lambda c: c["provenance"].update(split_sha256="0" * 64), "its split is not that of meta"),
     "data": (lambda c: c["provenance"].update(data_sha256="0" * 64), "its data are not those of meta"),

@@ -14,7 +14,8 @@ from dlobench.bench.evaluate import summarise
 from dlobench.bench.kept import Kept
 from dlobench.bench.plugins import load_task
 from dlobench.bench.record import CellScore, Record
-from dlobench.bench.task import Fit, Task, split_digest
+from dlobench.bench.task import Fit, Task, split_digest, supports
+from dlobench.data.domain_set import Span
 from dlobench.data.reproduce import TOLERANCE
 from dlobench.errors import RunError, UsageError
 
@@ -65,7 +66,10 @@ def _wrong(record: Record, path: Path, shared: _Shared) -> list[str]:
     if wrong:
         return wrong
     wrong += _plugin(record, path)
+    spans, fits = task.spans(record.scale), task.fits(record.scale)
     for cell in record.cells:
+        tested = [span for fit in fits if _makes(fit, cell, task) for span in task.parts(spans, fit)["test"]]
+        wrong += _tested(record, cell, task, tested)
         wrong += _numbers(cell, task)
         wrong += _same_still(record, cell, path, shared)
     beside = path.with_suffix(".safetensors")
@@ -97,7 +101,8 @@ def _definition(record: Record, task: Task) -> Iterator[str]:
     known = set(task.cells(record.scale, record.provenance.K))
     for cell in record.cells:
         if cell.id not in known:
-            yield f"{task.name} has no cell {cell.id} at scale {record.scale}"
+            yield f"{task.name} has no cell {cell.id} at scale {record.scale}, or it has it once"
+        known.discard(cell.id)
 
 
 def _plugin(record: Record, path: Path) -> Iterator[str]:
@@ -107,6 +112,28 @@ def _plugin(record: Record, path: Path) -> Iterator[str]:
         yield f"no plugin stands beside it at {PLUGIN}"
     elif hashlib.sha256(plugin.read_bytes()).hexdigest() != record.provenance.plugin_sha256:
         yield f"the plugin at {PLUGIN} is not the one that it was recorded with"
+
+
+def _makes(fit: Fit, cell: CellScore, task: Task) -> bool:
+    """Tells whether the scores of a fit belong to a cell."""
+    same = (fit.trajectories, fit.without) == (cell.trajectories, cell.without)
+    return same and cell.horizon in task.ahead(fit)
+
+
+def _tested(record: Record, cell: CellScore, task: Task, spans: Sequence[Span]) -> Iterator[str]:
+    """Says where a cell was not scored on all that its task says, and on nothing else."""
+    of, scale = task.set_of("test"), task.scale(record.scale)
+    cells = {f"{of.name}/{span.domain:05d}": str(of.cell(span.domain)) for span in spans}
+    if sorted(score.domain for score in cell.domains) != sorted(cells):
+        yield f"{cell.id}: it is scored on {len(cell.domains)} domains that are not the {len(cells)} of the task"
+        return
+    longest = max(task.horizon) if task.rolled else cell.horizon
+    windows = scale.query * (1 if task.futures is not None else of.pushes - longest + 1)
+    counts = len(supports(scale.support, cell.K)), windows
+    for score in cell.domains:
+        if (score.supports, score.windows) != counts or score.cell != cells[score.domain]:
+            found = f"{score.supports} supports and {score.windows} windows as {score.cell}"
+            yield f"{cell.id}: {score.domain} is scored by {found}, the task has {counts[0]} and {counts[1]}"
 
 
 def _numbers(cell: CellScore, task: Task) -> Iterator[str]:
