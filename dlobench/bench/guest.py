@@ -14,7 +14,7 @@ import signal
 import socket
 import sys
 import traceback
-from dataclasses import MISSING
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, get_type_hints
 
@@ -202,15 +202,19 @@ class Guest:
         return {"count": counted(self._models[asked["model"]].parameters())}, {}
 
     def _save(self, asked: dict[str, Any], _arrays: Arrays) -> tuple[dict[str, Any], Arrays]:
-        from dlobench.bench.weights import flatten
+        from dlobench.bench.state import flatten
 
         state = flatten(self._models[asked["model"]])
         return {"tree": state.tree}, state.arrays
 
     def _restore(self, asked: dict[str, Any], arrays: Arrays) -> tuple[dict[str, Any], Arrays]:
-        from dlobench.bench.weights import State, restore
+        from dlobench.bench.order import recordable
+        from dlobench.bench.revival import restore
+        from dlobench.bench.state import State
 
-        return self._keep(restore(self._plugin(), State(asked["tree"], arrays), device=asked["device"])), {}
+        model = restore(self._plugin(), State(asked["tree"], arrays), device=asked["device"])
+        given = recordable({f.name: getattr(model, f.name) for f in fields(model) if f.init})
+        return {**self._keep(model), "given": given}, {}
 
     def _plugin(self) -> type[Model]:
         if self._model is None:

@@ -14,11 +14,11 @@ import numpy as np
 
 from dlobench.bench.answers import Misdeed, counted
 from dlobench.bench.model import Model, Setting
-from dlobench.bench.weights import State, flatten, restore
+from dlobench.bench.revival import restore
+from dlobench.bench.state import MANY, MOST, State, fault, flatten
 from dlobench.bench.wire import Arrays, packed
 from dlobench.trajectories import Prediction, Query, Trajectories
 
-MOST = 2**31  # bytes of weights
 _SLACK = 8  # times the bytes of a right answer in float32, for wrong shapes to be told as such
 
 
@@ -100,15 +100,23 @@ class Remote(Model):
 
     def saved(self) -> State:
         """Returns what the fit has put into the model there."""
-        answer, arrays = self._ask("save", {}, most=MOST)
-        return State(answer.get("tree"), arrays)
+        answer, arrays = self._ask("save", {}, most=MOST + 64 * MANY)  # each array may be padded
+        state = State(answer.get("tree"), arrays)
+        if why := fault(state):
+            raise Misdeed(f"gave a state that is none: {why}")
+        return state
 
     @classmethod
     def restored(cls, state: State, device: str) -> Remote:
-        """Returns what stands in for a model with a state, made there; its fields here are the defaults."""
+        """Returns what stands in for a model with a state, made there; seed and hyperparameters as saved."""
         model = object.__new__(cls)
         answer, _ = cls.process.ask("restore", {"tree": state.tree, "device": device}, state.arrays)
         model._hold(answer)
+        given = answer.get("given")
+        for name in (f.name for f in dataclasses.fields(cls) if f.init):
+            if not isinstance(given, dict) or name not in given:
+                raise Misdeed(f"restored a model without {name}")
+            setattr(model, name, given[name])
         return model
 
     def _ask(self, what: str, header: Mapping[str, Any], arrays: Arrays | None = None, **how: Any) -> Any:
