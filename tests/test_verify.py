@@ -105,6 +105,11 @@ def better_domains(content: dict[str, Any]) -> None:
         cell["skill"] = 1 - sum(domains["mse"]) / sum(domains["persistence_mse"])
 
 
+def other_hyperparameters(content: dict[str, Any]) -> None:
+    """Says that the model was of another shape than its weights are."""
+    content["provenance"]["hyperparameters"]["ridge"] = 0.25
+
+
 def worse_persistence(content: dict[str, Any]) -> None:
     """Doubles the errors of persistence, by which skill is measured."""
     for cell in content["cells"]:
@@ -264,6 +269,9 @@ def test_fresh_domains_tell_who_was_fitted_to_the_old(runs: Path, mini: Path, ca
     found = compared(results.read(path, runs))
     assert len(found) == 3
     assert all(not one.holds and one.fresh < one.recorded for one in found)
+    resealed(path, other_hyperparameters)
+    with pytest.raises(RunError, match=r"the record of .* but .* holds"):
+        compared(results.read(path, runs))
     shutil.rmtree(path.with_suffix(""))
     with pytest.raises(RunError, match="has no weights at"):
         compared(record)

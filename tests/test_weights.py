@@ -12,7 +12,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pytest
@@ -278,6 +278,21 @@ def test_what_has_no_axes_has_none_in_a_file(thing: Any, tmp_path: Path) -> None
     assert getattr(found, "shape", ()) == ()
 
 
+@pytest.mark.parametrize(
+    "named",
+    [torch.tanh, torch.nn.functional.gelu, np.tanh, len, np.float32, torch.nn.SiLU, cast],
+    ids=lambda f: f.__name__,
+)
+def test_functions_and_classes_come_back_by_name(named: Any, tmp_path: Path) -> None:
+    assert filed({"act": named}, tmp_path)["act"] is named
+
+
+def test_modules_that_hold_functions_come_back(tmp_path: Path) -> None:
+    layer = torch.nn.TransformerEncoderLayer(8, 2, dropout=0.0, batch_first=True).eval()
+    x = torch.randn(2, 3, 8)
+    assert torch.equal(filed(layer, tmp_path)(x), layer(x))
+
+
 def test_two_fields_never_share_an_array(tmp_path: Path) -> None:
     one, inner = Empty(), Empty()
     vars(inner)["b"] = np.zeros(1)
@@ -321,10 +336,9 @@ def deep() -> list[Any]:
 @pytest.mark.parametrize(
     ("thing", "named"),
     [
-        (lambda: lambda x: x, "thing is a function, which weights cannot hold"),
-        (lambda: torch.nn.functional.silu, "thing is a function"),
-        (lambda: len, "thing is a builtin_function_or_method"),
-        (lambda: np.float32, "thing is a type"),
+        (lambda: lambda x: x, "thing is a <lambda> of .*, which cannot be found"),
+        (lambda: [].append, "thing is a append of None, which cannot be found"),
+        (lambda: Holder().parameters, "thing is a method, which weights cannot hold"),
         (lambda: functools.partial(max, 1), "thing is a partial"),
         (type("Local", (), {}), "thing is a Local of .*, which cannot be found"),
         (io.StringIO, "thing is a StringIO"),
@@ -348,9 +362,10 @@ def test_what_weights_cannot_hold_is_named(thing: Callable[[], Any], named: str)
 @pytest.mark.parametrize(
     ("node", "named"),
     [
-        (["object", "no.such.module", "F", {}], "class F of no.such.module, which the plugin has not imported"),
-        (["object", "os", "system", {}], "class system of os"),
-        (["name", "os", "system"], "'name', which is no kind"),
+        (["object", "no.such.module", "F", {}], "F of no.such.module, which the plugin does not import"),
+        (["object", "os", "system", {}], "system of os"),
+        (["named", "no.such.module", "f"], "f of no.such.module"),
+        (["named", "os", "environ"], "environ of os"),
         (["reduce", "os", "system"], "'reduce', which is no kind"),
         (["namedtuple", "subprocess", "Popen", []], "no weights of Holder"),
         (["array", "absent"], "absent"),
@@ -378,7 +393,7 @@ except UsageError as error:
     print(error, "scipy.signal" in sys.modules)
 """
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "class signal.lti of scipy, which the plugin has not imported False" in found.stdout
+    assert "signal.lti of scipy, which the plugin does not import as it is loaded False" in found.stdout
 
 
 def nested(levels: int) -> Any:
@@ -467,7 +482,7 @@ def test_a_plugin_that_lies_about_its_state_fails_by_name(tmp_path: Path, monkey
                 state_of(model)
         model = cls(lie="outside")
         model.fit([], [], SETTING)
-        with pytest.raises(UsageError, match="class system of os"):
+        with pytest.raises(UsageError, match="system of os"):
             revive(cls, state_of(model), device="cpu")
         assert cls().predict(QUERY, 1).dlo.shape == (1, len(QUERY), 32, 2), "others go on"
 

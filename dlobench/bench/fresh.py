@@ -48,7 +48,7 @@ def fresh(
 ) -> list[Fresh]:
     """Returns what becomes of every cell of a record on new domains; its weights stand beside it, at `path`.
 
-    Raises `RunError` where weights are missing, and as `score_domain` does.
+    Raises `RunError` where weights are missing or of other hyperparameters, and as `score_domain` does.
     """
     task = replace(load_task(record.task), fresh=seed)
     spans = task.spans(record.scale)
@@ -58,7 +58,7 @@ def fresh(
     scores: dict[tuple[Fit, int, int], list[DomainScore]] = {}
     with reporter.bar("scoring on new domains", "fits") as listen:
         for done, fit in enumerate(fits, 1):
-            model = revive(plugin.model, _weights(path, fit), device="cpu")
+            model = revive(plugin.model, _weights(path, fit, record), device="cpu")
             for span in task.parts(spans, fit)["test"]:
                 there = store.load_span(of, span).observed()
                 name, cell = f"{of.name}/{span.domain:05d}", str(of.cell(span.domain))
@@ -78,11 +78,20 @@ def _recorded(fit: Fit, record: Record) -> bool:
     return (fit.trajectories, fit.horizon, domain, fit.without) in keys
 
 
-def _weights(path: Path, fit: Fit) -> weights.State:
+def _weights(path: Path, fit: Fit, record: Record) -> weights.State:
     file = path.with_suffix("") / f"{fit_name(fit)}.safetensors"
     if not file.is_file():
         raise RunError(f"{path} has no weights at {file}: they come with a submission, and with the folder of a run")
-    return weights.read(file)
+    state = weights.read(file)
+    for name, said in {"seed": record.seed, **record.provenance.hyperparameters}.items():
+        held = state.tree.get(name)
+        if isinstance(held, list) and held[0] in ("list", "tuple") and isinstance(said, list):
+            held = held[1]
+        elif isinstance(held, list):
+            continue  # of a kind that JSON has no word for
+        if held != said:
+            raise RunError(f"{path} is the record of {name} = {said!r}, but {file.name} holds {name} = {held!r}")
+    return state
 
 
 def _cell(task: Task, key: tuple[Fit, int, int], domains: list[DomainScore]) -> CellScore:

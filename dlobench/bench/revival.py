@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dlobench.bench.model import Model
-from dlobench.bench.state import DICTS, PLUGIN, SEQUENCES, State, fault, find
+from dlobench.bench.state import DICTS, NAMED, PLUGIN, SEQUENCES, State, fault, find
 from dlobench.errors import UsageError
 
 Made = TypeVar("Made", bound=Model)
@@ -67,19 +67,22 @@ class _Reading:
             return self._known[kind, rest[0]]
         if kind in ("float", "weak"):
             return float(rest[0]) if kind == "float" else weakref.ref(self._value(rest[0]))
-        if kind in ("object", "namedtuple", "member"):
+        if kind in ("named", "object", "namedtuple", "member"):
             return self._instance(kind, *rest)
         raise ValueError(f"they hold {kind!r}, which is no kind of theirs")
 
-    def _instance(self, kind: str, module: str, name: str, content: Any) -> Any:
-        cls = find(self._plugin if module == PLUGIN else module, name)
-        if not isinstance(cls, type):
-            raise ValueError(f"they need the class {name} of {module}, which the plugin has not imported")
+    def _instance(self, kind: str, module: str, name: str, content: Any = None) -> Any:
+        """Returns what is named, or what is made of a class that is named."""
+        found: Any = find(self._plugin if module == PLUGIN else module, name)
+        if kind == "named" and isinstance(found, NAMED):
+            return found
+        if kind == "named" or not isinstance(found, type):
+            raise ValueError(f"they need {name} of {module}, which the plugin does not import as it is loaded")
         if kind == "object":
-            return self.filled(cls, content)
+            return self.filled(found, content)
         if kind == "namedtuple":
-            return tuple.__new__(cls, map(self._value, content))
-        return vars(cls)["_member_map_"][content]
+            return tuple.__new__(found, map(self._value, content))
+        return vars(found)["_member_map_"][content]
 
     def _numeric(self, kind: str, name: str, *rest: Any) -> Any:
         *grad, order = rest if rest and isinstance(rest[-1], list) else (*rest, None)

@@ -1,7 +1,7 @@
 """Takes out of a model what a fit has put into it: plain arrays and a JSON tree, never code.
 
 Whatever a plugin keeps may be taken: arrays, tensors, numbers, texts, lists, dicts, and objects made of these, such as
-dataclasses, `torch.nn.Module`s and the estimators of scikit-learn; nothing that is called, such as a function.
+dataclasses, `torch.nn.Module`s and the estimators of scikit-learn. Functions and classes are taken by their names.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import weakref
 from collections import OrderedDict
 from dataclasses import dataclass
 from enum import Enum
-from types import MemberDescriptorType
+from types import BuiltinFunctionType, FunctionType, MemberDescriptorType
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ PLUGIN = "<plugin>"  # the module of a plugin's own classes, which has another n
 _TEXT = 2**25  # characters of a tree; safetensors reads headers of up to 10⁸ bytes
 _DTYPES = {"bool", "float16", "float32", "float64", *(f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64))}
 SEQUENCES: dict[str, type[Any]] = {"list": list, "tuple": tuple, "set": set, "frozenset": frozenset}
+NAMED = FunctionType, BuiltinFunctionType, np.ufunc, type  # what stands in a module, and is found there by its name
 DICTS: dict[str, type[Any]] = {"dict": dict, "OrderedDict": OrderedDict}
 
 
@@ -92,6 +93,8 @@ class _Walk:
             raise UsageError(f"{path} holds itself, which weights cannot")
         self._above.append(id(value))
         try:
+            if isinstance(value, NAMED):
+                return ["named", *self._name(value, path)]
             return self._numeric(value, path) or self._structure(value, path)
         finally:
             self._above.pop()
@@ -151,11 +154,16 @@ class _Walk:
         self.arrays[name] = array.transpose(order)  # sums run in the order of memory, and round by it
         return [name, order]
 
-    def _name(self, cls: type[Any], path: str) -> list[str]:
-        module, name = cls.__module__, cls.__qualname__
-        if find(module, name) is not cls:
-            raise UsageError(f"{path} is a {name} of {module}, which cannot be found by that name")
-        return [PLUGIN if module == self._plugin else module, name]
+    def _name(self, value: Any, path: str) -> list[str]:
+        """Returns the module and the name by which a class or function is found."""
+        name, module = value.__name__, getattr(value, "__module__", None)
+        if find(str(module), getattr(value, "__qualname__", name)) is value:
+            return [PLUGIN if module == self._plugin else str(module), getattr(value, "__qualname__", name)]
+        if isinstance(value, BuiltinFunctionType | np.ufunc):  # torch.tanh does not know where it stands
+            for other in sorted(sys.modules):
+                if find(other, name) is value:
+                    return [other, name]
+        raise UsageError(f"{path} is a {name} of {module}, which cannot be found by that name")
 
 
 def _numbers(tensor: Any, path: str) -> NDArray[Any]:
