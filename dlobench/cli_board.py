@@ -24,11 +24,13 @@ def leaderboard_build(
     """Build the leaderboard and its page from the records. The same records give the same bytes."""
     from dlobench.bench import leaderboard
     from dlobench.bench.results import read_all
+    from dlobench.bench.scores import scores
 
     if out is not None and (out.suffix != ".csv" or (results in out.parents and out.parent != results)):
         raise UsageError(f"--out {str(out)!r} is not a .csv file, or lies among the records")
     records = read_all(results or COMMITTED_RESULTS)
-    frame = leaderboard.table(records)
+    tidy = scores(records)
+    frame = leaderboard.table(records, tidy)
     path = out or (results / "leaderboard.csv" if results else COMMITTED_BOARD)
     leaderboard.write(frame, path)
     typer.echo(f"{path}: {len(frame)} rows")
@@ -39,7 +41,7 @@ def leaderboard_build(
         from dlobench.data.store import atomic_write
 
         try:
-            content = build(records, frame, shown(records, frame, results or COMMITTED_RESULTS))
+            content = build(records, frame, shown(records, frame, results or COMMITTED_RESULTS), tidy)
         except MissingError as error:
             typer.echo(f"no page is written: {error}")
             return

@@ -19,6 +19,7 @@ from dlobench.bench.page.payload import payload, thinned
 from dlobench.bench.page.rollout import Windows, rollout
 from dlobench.bench.record import Failure, Record
 from dlobench.bench.results import write
+from dlobench.bench.scores import scores
 from dlobench.cli import app
 from dlobench.errors import UsageError
 
@@ -149,7 +150,7 @@ def test_filters_by_task_scale_material_and_words(browser: Any, file: Path) -> N
     assert [each.split()[0] for each in seen.column("Model")] == ["maml", "mlp", "persistence"]
     before = seen.column("Skill")
     page.select_option("#material", "soft")
-    found = payload(some(), leaderboard.table(some()))["rows"]
+    found = payload(some(), leaderboard.table(some()), scores(some()))["rows"]
     (row,) = [r for r in found if (r["model"], r["cell"], r["scale"]) == ("mlp", "meta/trajectories20-h4-k10", "mini")]
     assert f"{row['materials']['soft'][0]:.3f}" in [each.split()[0] for each in seen.column("Skill")]
     assert not any(" to " in each for each in seen.column("Skill")), "intervals are of all materials"
@@ -264,7 +265,7 @@ def test_what_lacks_a_size_takes_no_domain_away_from_others() -> None:
     cells = [cell for cell in whole[1].cells if cell.trajectories == 20]
     fits = [fit for fit in whole[1].fits if fit.trajectories == 20]
     records = [whole[0], whole[1].model_copy(update={"cells": cells, "fits": fits})]
-    rows = payload(records, leaderboard.table(records))["rows"]
+    rows = payload(records, leaderboard.table(records), scores(records))["rows"]
     sweeps = {row["model"]: row["sweeps"] for row in rows}
     assert set(sweeps["maml"]) == {"trajectories", "horizon", "K"}
     assert set(sweeps["mlp"]) == {"horizon", "K"}

@@ -40,8 +40,10 @@ COLUMNS = [
 ]  # fmt: skip
 
 
-def table(records: list[Record]) -> pd.DataFrame:
+def table(records: list[Record], tidy: pd.DataFrame | None = None) -> pd.DataFrame:
     """Returns one row a cell and configuration, best first within a cell; what a row has not is NaN, or "" of a word.
+
+    `tidy` are the `scores` of the records, for those who have them already.
 
     A configuration is a competitor, and only those over the same data and split meet. Numbers are over the domains that
     every seed has: skill and MSE with intervals at 95 %, places with ties within a cell, ranks over the cells of a task
@@ -54,7 +56,7 @@ def table(records: list[Record]) -> pd.DataFrame:
     if rows.empty:
         return pd.DataFrame(columns=COLUMNS)
     out = rows.groupby(ROW).agg(dict.fromkeys(SWEEP, "first") | _FACTS).reset_index()
-    out = out.merge(_statistics(scores(records)), on=ROW, how="left", validate="one_to_one")
+    out = out.merge(_statistics(scores(records) if tidy is None else tidy), on=ROW, how="left", validate="one_to_one")
     if not (bare := out[out["skill"].isna()]).empty:
         raise RunError("no domain of {} was scored with every seed of {}@{}".format(*bare[ROW[-3:]].iloc[0]))
     out["skill_equal_time"] = _equal_time(out)

@@ -16,6 +16,7 @@ from dlobench.bench.page.libraries import Library, libraries
 from dlobench.bench.page.payload import payload
 from dlobench.bench.page.rollout import Windows, rollout
 from dlobench.bench.record import Record
+from dlobench.bench.scores import scores
 
 CSP = (
     "default-src 'none'; connect-src 'none'; img-src data:; style-src 'unsafe-inline'; "
@@ -23,15 +24,21 @@ CSP = (
 )
 
 
-def build(records: Sequence[Record], frame: pd.DataFrame, rollouts: Mapping[str, Windows] | None = None) -> bytes:
+def build(
+    records: Sequence[Record],
+    frame: pd.DataFrame,
+    rollouts: Mapping[str, Windows] | None = None,
+    tidy: pd.DataFrame | None = None,
+) -> bytes:
     """Returns the page of records and of their `leaderboard.table`; the same records give the same bytes.
 
-    `rollouts` holds predicted windows by the name to show them under. What comes from records is text wherever it is
+    `rollouts` holds predicted windows by the name to show them under, `tidy` the `scores` of the records, for those who
+    have them already. What comes from records is text wherever it is
     shown: it is escaped here or set as text by the page's script, and no script runs but those whose digests stand in
     the page's policy. Raises `UsageError` where the libraries of the extra `page` are missing.
     """
     found = libraries()
-    data = payload(records, frame) | {"charts": CHARTS, "curve": CURVE}
+    data = payload(records, frame, scores(records) if tidy is None else tidy) | {"charts": CHARTS, "curve": CURVE}
     pictures = "".join(
         f"<figure>{rollout(windows, name)}<figcaption>{escape(name)}</figcaption></figure>"
         for name, windows in sorted((rollouts or {}).items())

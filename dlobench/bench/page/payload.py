@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from dlobench.bench.record import Record
-from dlobench.bench.scores import scores, with_all
+from dlobench.bench.scores import with_all
 
 TEXT, SEEDS, CURVES, POINTS, FAILURES = 2000, 10, 4, 30, 10  # at most: characters, records and fits of a row, …
 SWEEP = ["trajectories", "horizon", "K"]
@@ -26,13 +26,15 @@ NUMBERS = [
 Key = tuple[Any, ...]
 
 
-def payload(records: Sequence[Record], frame: pd.DataFrame) -> dict[str, Any]:
-    """Returns what the page holds as plain JSON: rows of the table, and the runs behind them; in one order."""
+def payload(records: Sequence[Record], frame: pd.DataFrame, tidy: pd.DataFrame) -> dict[str, Any]:
+    """Returns what the page holds as plain JSON, in one order: rows of the table, and the runs behind them.
+
+    `frame` is the `leaderboard.table` of the records, `tidy` are their `scores`.
+    """
     runs: dict[Key, list[Record]] = {}
     for record in sorted(records, key=lambda record: record.path(Path())):
         runs.setdefault((*_group(record), record.model, record.config), []).append(record)
     number = {key: i for i, key in enumerate(sorted(runs))}
-    tidy = scores([record for key in sorted(runs) for record in runs[key]])
     tidy = tidy.assign(data=tidy["data"].str[:8], split=tidy["split"].str[:8]) if len(tidy) else tidy
     materials, sweeps, calibrated = by_material(tidy), by_sweep(tidy), calibration(runs)
     labels = task_labels(frame)
