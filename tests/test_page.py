@@ -169,6 +169,14 @@ def test_filters_by_task_scale_material_and_words(browser: Any, file: Path) -> N
     seen.close()
 
 
+def test_the_page_opens_on_the_task_where_most_models_meet(browser: Any, tmp_path: Path) -> None:
+    path = tmp_path / "index.html"
+    path.write_bytes(page_of([*some(), swept("mlp", 0.5, task="distribution")]))
+    seen = Seen(browser, path)
+    assert (seen.page.input_value("#task"), seen.page.input_value("#scale")) == ("meta", "mini")
+    seen.close()
+
+
 def test_a_row_opens_its_record_by_keyboard(browser: Any, file: Path) -> None:
     seen = Seen(browser, file)
     button = seen.page.locator("#table button", has_text="maml").first

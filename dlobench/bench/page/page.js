@@ -15,6 +15,11 @@ const make = (tag, content, parent) => {
   return element;
 };
 
+const largest = (all, key) => {
+  const rivals = {};
+  all.forEach((row) => (rivals[key(row)] ??= new Set()).add(named(row)));
+  return all.reduce((best, row) => (rivals[key(row)].size > rivals[key(best)].size ? row : best));
+};
 const chosen = () => ["task", "scale", "cell", "material", "search"].reduce((o, id) => ({ ...o, [id]: at(id).value }), {});
 // What a row says of the chosen material: no interval and no place, which are those of all domains.
 function seen(row, material) {
@@ -180,7 +185,8 @@ if (rows.length) {
   rows.forEach((row, i) => { row.id = i; });
   fill("task", distinct("task").sort(), "All tasks"); fill("scale", distinct("scale"), "All scales");
   fill("material", [...new Set(rows.flatMap((row) => Object.keys(row.materials)))].sort(), "All materials");
-  at("task").value = rows[0].task; at("scale").value = rows[0].scale;
+  const most = largest(rows, (row) => `${row.task} ${row.scale}`); // where most models meet
+  at("task").value = most.task; at("scale").value = most.scale;
   table = new window.DataTable(at("table"), { columns, data: [], deferRender: true, autoWidth: false, order: [], pageLength: 50,
     layout: { topStart: null, topEnd: null, bottomStart: "info", bottomEnd: "paging" } });
   ["task", "scale", "cell", "material"].forEach((id) => at(id).addEventListener("change", show));
