@@ -59,7 +59,7 @@ def show(frame: Any) -> None:
     rows = [
         [
             row.cell,
-            f"{row.place}{'≈' if row.tie else ''}",
+            "–" if row.place != row.place else f"{row.place:.0f}{'≈' if row.tie else ''}",
             f"{row.model}@{row.config}",  # what `compare` takes
             str(row.seeds),
             _shown(row.skill),

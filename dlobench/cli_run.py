@@ -30,7 +30,9 @@ Support = Annotated[int | None, typer.Option("--K", help="Support trajectories. 
 Seeds = Annotated[
     str, typer.Option("--seeds", "--seed", metavar="SEEDS", help="Seeds of the model, such as 0, 0-4 or 0,7.")
 ]
-Settings = Annotated[list[str] | None, typer.Option("--set", metavar="FIELD=VALUE", help="A hyperparameter.")]
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", metavar="FIELD=VALUE", help="A hyperparameter, or preset=NAME.")
+]
 MaxMinutes = Annotated[float | None, typer.Option(min=0.0, help="Stop every fit after so many minutes.")]
 Out = Annotated[Path, typer.Option(help="Where records and their leaderboard go.")]
 

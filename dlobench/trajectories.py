@@ -6,13 +6,26 @@ n actions ahead, S samples. Padded segments and bodies are 0.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dlobench.domain import MAX_BODIES, MAX_BOXES, MAX_SEGMENTS, Domain
+from dlobench.domain import (
+    ATTACHMENTS,
+    DLO_DENSITY,
+    LENGTHS,
+    MATERIALS,
+    MAX_BODIES,
+    MAX_BOXES,
+    MAX_SEGMENTS,
+    STIFFNESS,
+    SURFACE_FRICTION,
+    YIELD_CURVATURE,
+    Domain,
+)
 
 Floats = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -30,6 +43,7 @@ class Query:
     body_mask: Mask  # (3,)  which bodies exist
     boxes: Floats  # (3, 5, 5)  each body's boxes in its frame: x m, y m, yaw rad, half sizes m
     actions: Floats  # (B, n, 2)  the next displacements of the pusher, m
+    parameters: Floats | None = None  # (11,)  of the domain, see `parameters`; None but for a privileged model
 
     def __len__(self) -> int:
         return len(self.dlo)
@@ -42,7 +56,7 @@ class Query:
     def take(self, index: NDArray[np.intp]) -> Query:
         """Returns the queries at `index`, in its order."""
         rows = {name: getattr(self, name)[index] for name in ("dlo", "pusher", "bodies", "actions")}
-        return Query(dlo_mask=self.dlo_mask, body_mask=self.body_mask, boxes=self.boxes, **rows)
+        return replace(self, **rows)
 
 
 @dataclass(frozen=True)
@@ -68,6 +82,7 @@ class Trajectories:
     cylinder: Floats | None = (
         None  # (K, T+1, 3)  what an attached DLO ends in: x m, y m, yaw rad; never shown to models
     )
+    parameters: Floats | None = None  # (11,)  of the domain, see `parameters`; None but for a privileged model
 
     def __len__(self) -> int:
         return len(self.dlo)
@@ -109,6 +124,7 @@ class Trajectories:
             body_mask=self.body_mask,
             boxes=self.boxes,
             actions=flat(self.executed[:, ahead]),
+            parameters=self.parameters,
         )
         truth = Prediction(dlo=flat(self.dlo[:, horizon:, :, :2])[None], bodies=flat(self.bodies[:, horizon:])[None])
         return query, truth
@@ -125,11 +141,37 @@ def geometry(domain: Domain) -> Geometry:
     return dlo_mask, body_mask, boxes
 
 
+def parameters(domain: Domain) -> Floats:
+    """Returns what is unobserved of the DLO of a domain, for privileged models: (11,), most within −1 and 1.
+
+    Surface friction, density, length, log stiffness and log yield curvature (1 where it never yields), each from −1 to
+    1 over its range (that of all materials), then which material and which attachment, three of 0 and 1 each.
+    """
+
+    def scaled(value: float, low: float, high: float) -> float:
+        return 2 * (value - low) / (high - low) - 1
+
+    bounds = [bound for span in STIFFNESS.values() for bound in span]
+    stiffness = scaled(math.log(domain.bending_stiffness), math.log(min(bounds)), math.log(max(bounds)))
+    curvature = domain.yield_curvature
+    yields = 1.0 if curvature is None else scaled(math.log(curvature), *map(math.log, YIELD_CURVATURE))
+    numbers = [
+        scaled(domain.surface_friction, *SURFACE_FRICTION),
+        scaled(domain.density, *DLO_DENSITY),
+        scaled(domain.length, LENGTHS[0], LENGTHS[-1]),
+        stiffness,
+        yields,
+    ]
+    kinds = [domain.material == each for each in MATERIALS] + [domain.attachment == each for each in ATTACHMENTS]
+    return np.array([*numbers, *kinds], np.float32)
+
+
 def concatenate(parts: Sequence[Trajectories]) -> Trajectories:
     """Joins trajectories of one domain; raises `ValueError` when their geometry differs."""
     first = parts[0]
     for part in parts[1:]:
-        if not all(np.array_equal(getattr(part, f), getattr(first, f)) for f in ("dlo_mask", "body_mask", "boxes")):
+        shared = ("dlo_mask", "body_mask", "boxes", "parameters")
+        if not all(np.array_equal(getattr(part, name), getattr(first, name)) for name in shared):
             raise ValueError("trajectories of different domains cannot be joined")
     names = ("dlo", "pusher", "bodies", "commanded", "executed", *(() if first.cylinder is None else ("cylinder",)))
     return replace(first, **{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})

@@ -10,13 +10,11 @@ import torch
 from torch import Tensor
 
 from dlobench.bench.model import Model, Setting
-from dlobench.errors import RunError
+from dlobench.nn.episodes import Batch, draw
 from dlobench.nn.fit import Network, Plan, descend, positive
 from dlobench.nn.networks import Layers, detached, flat, initial, mlp, stacked, weighted_mse
-from dlobench.nn.windows import COORDINATES, Target, Windows, standardise
+from dlobench.nn.windows import COORDINATES, Target, standardise
 from dlobench.trajectories import Prediction, Query, Trajectories
-
-Batch = tuple[Tensor, Tensor, Tensor]  # inputs (N, B, F), targets (N, B, 64), weights (N, 1, 64)
 
 
 def inner_step(layers: Layers, rates: Tensor, support: Batch) -> Layers:
@@ -85,12 +83,14 @@ class Maml(Model):
         def train_loss() -> Tensor:
             K = supports[int(torch.randint(len(supports), (), generator=generator))]
             domains = torch.randint(len(windows.count), (self.N,), generator=generator)
-            return meta_loss(layers, log_rates.exp(), *self._draw(windows, domains, K, generator))
+            return meta_loss(
+                layers, log_rates.exp(), *draw(windows, domains, K, queries=self.queries, generator=generator)
+            )
 
         unseen = scaling.windows(valid, self.device) if valid else None
         # Several draws a domain, the same at every validation: one support of K = 1 says little.
         again = torch.arange(len(valid)).repeat(4)
-        fixed = [self._draw(unseen, again, K, generator) for K in supports] if unseen else []
+        fixed = [draw(unseen, again, K, queries=self.queries, generator=generator) for K in supports] if unseen else []
 
         def valid_loss() -> float:
             losses = [meta_loss(layers, log_rates.exp(), *pair) for pair in fixed]
@@ -100,19 +100,6 @@ class Maml(Model):
         check = valid_loss if fixed else None
         descend([*flat(layers), log_rates], train_loss, check, plan=plan, budget=setting.budget, log=setting.log)
         self.network, self.rates = Network(detached(layers), scaling), log_rates.detach().exp()
-
-    def _draw(self, windows: Windows, domains: Tensor, K: int, generator: torch.Generator) -> tuple[Batch, Batch]:
-        """Draws K support and other query trajectories for each task, the same numbers for all."""
-        fewest, most = int(windows.count.min()), int(windows.count.max())
-        if fewest < 2:
-            raise RunError(f"a domain has {fewest} trajectories, a task needs 2: one to adapt on, one to be scored on")
-        K = K if fewest > K else fewest // 2
-        order = torch.rand(len(domains), most, generator=generator)
-        order[torch.arange(most) >= windows.count.cpu()[domains, None]] = 1  # no trajectory there, so never drawn
-        drawn = order.topk(min(K + self.queries, fewest), largest=False).indices
-        first = windows.count.cumsum(0) - windows.count
-        rows = drawn.to(first.device) + first[domains.to(first.device), None]
-        return windows.pick_trajectories(rows[:, :K]), windows.pick_trajectories(rows[:, K:])
 
     def adapt(self, support: Trajectories) -> Maml:
         """Returns a copy that took one gradient step on the support windows; itself when there are none."""

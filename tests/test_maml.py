@@ -14,7 +14,7 @@ from toy import error, toy_domains
 
 from dlobench.bench.model import Setting
 from dlobench.errors import RunError
-from dlobench.nn import networks
+from dlobench.nn import episodes, networks
 from dlobench.nn.budget import Log
 from dlobench.nn.windows import standardise
 
@@ -143,15 +143,12 @@ def test_adapt_takes_the_step_it_was_trained_with(fitted: Any) -> None:
 
 @pytest.mark.parametrize(("sizes", "K", "expected"), [((12, 12), 5, (5, 4)), ((6, 9), 5, (5, 1)), ((5, 9), 5, (2, 3))])
 def test_support_and_query_are_disjoint_and_of_one_domain(
-    sizes: tuple[int, ...], K: int, expected: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+    sizes: tuple[int, ...], K: int, expected: tuple[int, int]
 ) -> None:
     domains = [toy_domains(1, seed=n, trajectories=n)[0] for n in sizes]
     made, _ = standardise(domains, horizon=2, bodies=False, target="displacement")
-    drawn: list[Tensor] = []
-    monkeypatch.setattr(type(made), "pick_trajectories", lambda self, rows: drawn.append(rows))
-    model, rng, tasks = maml.Maml(queries=4), generator(), torch.tensor([0, 1, 1, 0] * 25)
-    model._draw(made, tasks, K, rng)
-    support, query = drawn
+    tasks = torch.tensor([0, 1, 1, 0] * 25)
+    support, query = drawn = episodes.rows(made, tasks, K, queries=4, generator=generator())
     assert (support.shape[1], query.shape[1]) == expected
     rows = torch.cat(drawn, dim=1)
     assert all(len(set(row)) == len(row) for row in rows.tolist())
@@ -167,16 +164,17 @@ def test_a_domain_with_one_trajectory_is_refused() -> None:
 @pytest.mark.parametrize(
     ("K_train", "Ks", "expected"), [(None, (0, 1, 3), {1, 3}), (2, (0, 1, 3), {2}), (None, (0,), {1})]
 )
-def test_support_sizes_follow_the_setting(K_train: int | None, Ks: tuple[int, ...], expected: set[int]) -> None:
+def test_support_sizes_follow_the_setting(
+    K_train: int | None, Ks: tuple[int, ...], expected: set[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
     model = maml.Maml(K_train=K_train, steps=20)
     drawn: set[int] = set()
-    draw = model._draw
 
-    def spy(windows: Any, domains: Tensor, K: int, rng: torch.Generator) -> Any:
+    def spy(windows: Any, domains: Tensor, K: int, **how: Any) -> Any:
         drawn.add(K)
-        return draw(windows, domains, K, rng)
+        return episodes.draw(windows, domains, K, **how)
 
-    model._draw = spy
+    monkeypatch.setattr(maml, "draw", spy)
     model.fit(toy_domains(3, trajectories=6), [], Setting(horizon=2, K=Ks))
     assert drawn == expected
 

@@ -15,7 +15,7 @@ import torch
 from toy import error, toy_domain, toy_domains
 
 from dlobench.bench.model import Model, Setting
-from dlobench.errors import RunError
+from dlobench.errors import RunError, UsageError
 from dlobench.nn import fit, networks, windows
 from dlobench.nn.budget import Budget, Log
 from dlobench.trajectories import Trajectories
@@ -119,6 +119,27 @@ def test_inputs_are_standardised_and_constants_stay_finite() -> None:
     assert inputs[:, existing].mean(0).abs().max() < 1e-5
     assert inputs.isfinite().all()
     assert not inputs[:, 66 + 8 : 66 + 12].any()  # the body that does not exist
+
+
+def test_what_is_not_normalised_stays_in_si() -> None:
+    domains = toy_domains(2, trajectories=4)
+    made, scaling = windows.standardise(domains, horizon=2, bodies=False, target="absolute", normalise=False)
+    query, truth = domains[1].windows(2)
+    inputs, targets, _ = made.pick(slice(len(made) - len(query), len(made)))
+    assert np.array_equal(inputs[:, :2].numpy(), query.pusher)
+    assert np.array_equal(targets.numpy().reshape(-1, 32, 2)[:, query.dlo_mask], truth.dlo[0][:, query.dlo_mask])
+    assert scaling.target_std == 1
+
+
+def test_a_plan_by_epochs_validates_once_an_epoch() -> None:
+    plan = fit.Plan(1000, 1e-3, 20)
+    how = fit.Regression(width=4, depth=1, bodies=False, target="absolute", batch=10, plan=plan)
+    assert how.plan_of(105) == plan
+    by_epochs = replace(how, epochs=7).plan_of(105)
+    assert (by_epochs.every, by_epochs.patience, by_epochs.steps) == (10, 7, 1000)
+    assert replace(how, epochs=7).plan_of(3).every == 1
+    with pytest.raises(UsageError, match="epochs = 0"):
+        replace(how, epochs=0)
 
 
 def test_body_features_are_sine_and_cosine() -> None:

@@ -206,6 +206,24 @@ def test_settings_of_the_wrong_type_are_refused(text: str, tmp_path: Path) -> No
     assert text in str(error.value)
 
 
+def test_a_preset_stands_for_its_settings(tmp_path: Path) -> None:
+    presets = "presets = {'big': {'n': 9, 'deep': True}}\n    " + FIELDS
+    model = load_model(write(tmp_path, plugin(fields=presets))).model
+    assert parse_settings(model, ["preset=big"]) == {"n": 9, "deep": True}
+    assert parse_settings(model, ["rate=2", "preset=big", "n=5"]) == {"rate": 2.0, "n": 5, "deep": True}
+    with pytest.raises(UsageError, match="'preset=huge' names no preset of the model: big"):
+        parse_settings(model, ["preset=huge"])
+    with pytest.raises(UsageError, match="it has none"):
+        parse_settings(load_model("persistence").model, ["preset=huge"])
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in (ROOT / "models").glob("[!_]*.py")))
+def test_presets_of_our_models_can_be_built(name: str) -> None:
+    model = load_model(name).model
+    for preset in model.presets:
+        model(**parse_settings(model, [f"preset={preset}"]))
+
+
 def test_a_model_without_hyperparameters_says_so() -> None:
     with pytest.raises(UsageError, match="it has none"):
         parse_settings(load_model("persistence").model, ["n=1"])

@@ -60,7 +60,7 @@ def files(folder: Path) -> dict[str, bytes]:
 
 def same(one: Trajectories, other: Trajectories) -> bool:
     """Tells whether trajectories are the same in every bit."""
-    pairs = [(getattr(one, f.name), getattr(other, f.name)) for f in fields(Trajectories)]
+    pairs = [(getattr(one, f.name), getattr(other, f.name)) for f in fields(Trajectories) if f.name != "parameters"]
     return all(a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes() for a, b in pairs)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import fields, replace
 
 import numpy as np
@@ -10,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_domain import UNEQUAL, make
 
-from dlobench.domain import BOX_SIZE, SHAPES, RigidBody
-from dlobench.trajectories import Query, Trajectories, concatenate, geometry
+from dlobench.domain import ATTACHMENTS, BOX_SIZE, MATERIALS, SHAPES, RigidBody, sample, typical
+from dlobench.trajectories import Query, Trajectories, concatenate, geometry, parameters
 
 ROWS = ("dlo", "pusher", "bodies", "commanded", "executed", "cylinder")
-SHARED = ("dlo_mask", "body_mask", "boxes")
+SHARED = ("dlo_mask", "body_mask", "boxes", "parameters")
 DOMAIN = make(length=0.12, bodies=(UNEQUAL, RigidBody("bar2", (2000.0, 3000.0), 0.4)))
 
 
@@ -25,7 +26,7 @@ def noise(K: int, T: int, seed: int = 0) -> Trajectories:
     shapes |= {"commanded": (K, T, 2), "executed": (K, T, 2), "cylinder": (K, T + 1, 3)}
     rows = {name: rng.normal(size=shape).astype(np.float32) for name, shape in shapes.items()}
     dlo_mask, body_mask, boxes = geometry(DOMAIN)
-    return Trajectories(dlo_mask=dlo_mask, body_mask=body_mask, boxes=boxes, **rows)
+    return Trajectories(dlo_mask=dlo_mask, body_mask=body_mask, boxes=boxes, parameters=parameters(DOMAIN), **rows)
 
 
 @settings(deadline=None)
@@ -105,6 +106,18 @@ def test_queries_are_taken_in_order() -> None:
     for field in fields(Query):
         whole = getattr(query, field.name)
         np.testing.assert_array_equal(getattr(taken, field.name), whole if field.name in SHARED else whole[index])
+
+
+def test_parameters_tell_domains_apart() -> None:
+    middle = typical(material="soft", attachment="none", length=0.16, rigid_objects=0)
+    # stiffness is at 1e-6, of ranges that reach from 3e-7 to 2e-4 in all
+    stiffness = 2 * np.log(math.sqrt(3e-7 * 3e-6) / 3e-7) / np.log(2e-4 / 3e-7) - 1
+    np.testing.assert_allclose(parameters(middle), [0, 0, 1, stiffness, 1, 1, 0, 0, 1, 0, 0], atol=1e-6)
+    rng = np.random.default_rng(0)
+    drawn = [sample(rng, material=m, attachment=a, length=0.1, rigid_objects=0) for m in MATERIALS for a in ATTACHMENTS]
+    found = np.array([parameters(one) for one in drawn])
+    assert np.abs(found).max() <= 1
+    assert len({tuple(row[5:]) for row in found}) == 9
 
 
 def test_parts_join_to_the_whole() -> None:

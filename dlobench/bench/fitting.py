@@ -18,12 +18,13 @@ from dlobench.bench.record import DomainScore, FitReport
 from dlobench.bench.remote import state_of
 from dlobench.bench.task import Fit
 from dlobench.bench.weights import State
-from dlobench.data.domain_set import PARTS, Part
+from dlobench.data.domain_set import PARTS, DomainSet, Part, Span
 from dlobench.data.ensure import Reporter
 from dlobench.data.store import Store
 from dlobench.errors import UsageError
 from dlobench.nn.budget import Log
 from dlobench.trajectories import Trajectories
+from dlobench.trajectories import parameters as parameters_of
 
 CURVE_POINTS = 200  # of a learning curve, at most
 
@@ -60,10 +61,19 @@ def load(order: Order, fit: Fit, store: Store, *, title: str, reporter: Reporter
         for part, members in spans.items():
             of = order.task.set_of(part)
             for span in members:
-                parts[part][f"{of.name}/{span.domain:05d}"] = store.load_span(of, span).observed()
+                parts[part][f"{of.name}/{span.domain:05d}"] = seen(store, of, span, order.plugin.model)
                 done += 1
                 listen(done, total, {})
     return parts
+
+
+def seen(store: Store, of: DomainSet, span: Span, model: type[Model]) -> Trajectories:
+    """Loads trajectories as a model may see them: with the parameters of their domain for one that is privileged.
+
+    Raises `UsageError` for a privileged model and a set that was imported, whose parameters nobody knows.
+    """
+    there = store.load_span(of, span).observed()
+    return replace(there, parameters=parameters_of(of.domain(span.domain))) if model.privileged else there
 
 
 def fit_and_score(order: Order, fit: Fit, parts: Parts, *, title: str, reporter: Reporter) -> Outcome:

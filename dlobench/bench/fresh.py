@@ -14,7 +14,7 @@ import numpy as np
 
 from dlobench.bench import questions, weights
 from dlobench.bench.evaluate import score_domain, summarise
-from dlobench.bench.fitting import fit_name
+from dlobench.bench.fitting import fit_name, seen
 from dlobench.bench.plugins import ModelPlugin, load_task
 from dlobench.bench.record import CellScore, DomainScore, Record
 from dlobench.bench.remote import revive
@@ -60,7 +60,7 @@ def fresh(
         for done, fit in enumerate(fits, 1):
             model = revive(plugin.model, _weights(path, fit, record), device="cpu")
             for span in task.parts(spans, fit)["test"]:
-                there = store.load_span(of, span).observed()
+                there = seen(store, of, span, plugin.model)
                 name, cell = f"{of.name}/{span.domain:05d}", str(of.cell(span.domain))
                 asked = questions.domain(name, cell, there, task=task, scale=task.scale(record.scale), fit=fit)
                 for K in record.provenance.K:

@@ -144,7 +144,8 @@ class Guest:
         hyper = hyperparameters(plugin.model)
         needed = [name for name, value in hyper.items() if value is MISSING]
         given = recordable({name: value for name, value in hyper.items() if value is not MISSING})
-        about = {"class": plugin.model.__name__, "sha256": plugin.sha256}
+        model = plugin.model
+        about = {"class": model.__name__, "sha256": plugin.sha256, "privileged": bool(model.privileged)}
         return {**about, "hyperparameters": given, "needed": needed}, {}
 
     def _parse(self, asked: dict[str, Any], _arrays: Arrays) -> tuple[dict[str, Any], Arrays]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import math
 from collections import Counter
+from collections.abc import Container
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +49,8 @@ def table(records: list[Record], tidy: pd.DataFrame | None = None) -> pd.DataFra
 
     A configuration is a competitor, and only those over the same data and split meet. Numbers are over the domains that
     every seed has: skill and MSE with intervals at 95 %, places with ties within a cell, ranks over the cells of a task
-    and scale (`ranking.placed` and `ranked`), means of the rest. Raises `RunError` for two records of the same seed,
+    and scale (`ranking.placed` and `ranked`), means of the rest. Privileged models come last in a cell and have neither
+    place nor rank. Raises `RunError` for two records of the same seed,
     and for records that cannot be placed together.
     """
     _check(records)
@@ -56,7 +59,9 @@ def table(records: list[Record], tidy: pd.DataFrame | None = None) -> pd.DataFra
     if rows.empty:
         return pd.DataFrame(columns=COLUMNS)
     out = rows.groupby(ROW).agg(dict.fromkeys(SWEEP, "first") | _FACTS).reset_index()
-    out = out.merge(_statistics(scores(records) if tidy is None else tidy), on=ROW, how="left", validate="one_to_one")
+    privileged = {(r.model, r.config) for r in records if r.privileged}
+    found = _statistics(scores(records) if tidy is None else tidy, privileged)
+    out = out.merge(found, on=ROW, how="left", validate="one_to_one")
     if not (bare := out[out["skill"].isna()]).empty:
         raise RunError("no domain of {} was scored with every seed of {}@{}".format(*bare[ROW[-3:]].iloc[0]))
     out["skill_equal_time"] = _equal_time(out)
@@ -111,7 +116,7 @@ def _rows(record: Record) -> list[dict[str, Any]]:
     return out
 
 
-def _statistics(frame: pd.DataFrame) -> pd.DataFrame:
+def _statistics(frame: pd.DataFrame, privileged: Container[tuple[str, str]]) -> pd.DataFrame:
     """Returns the scores of each row, over the domains that all of its seeds have, and its order within its cell."""
     have = frame.groupby([*ROW, "domain"])["seed"].transform("size")
     frame = frame[have == frame.groupby(ROW)["seed"].transform("nunique")]
@@ -123,10 +128,15 @@ def _statistics(frame: pd.DataFrame) -> pd.DataFrame:
             cells.setdefault((*group, cell), {})[model, config] = one
             groups.setdefault((*group,), {})[model, config, cell] = one
         for where, of in cells.items():
-            for order, row in enumerate(placed(of).to_dict("records")):
-                key = (*where, row.pop("model"), row.pop("config"))
-                out[key] = {**row, "order": order}
+            for apart in (False, True):
+                some = {key: one for key, one in of.items() if (key in privileged) is apart}
+                for order, row in enumerate(placed(some).to_dict("records")):
+                    key = (*where, row.pop("model"), row.pop("config"))
+                    out[key] = row | {"order": order + apart * len(of)}
+                    if apart:
+                        out[key] |= {"place": math.nan, "tie": ""}
         for where, of in groups.items():
+            of = {key: one for key, one in of.items() if key[:2] not in privileged}  # noqa: PLW2901
             ranking = ranked(of).set_index(["model", "config"])[["rank", "low", "high"]].to_dict("index")
             for model, config, cell in of:
                 found = ranking.get((model, config), {})

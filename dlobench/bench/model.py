@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, ClassVar
 
 from dlobench.nn.budget import Budget, Log
 from dlobench.trajectories import Prediction, Query, Trajectories
@@ -27,6 +29,9 @@ class Model(ABC):
     A plugin file defines exactly one subclass. It is built with a seed and a device, then fitted once.
     The same seed and data give the same predictions on a CPU.
     """
+
+    privileged: ClassVar[bool] = False  # sees the parameters of domains, in `Trajectories` and `Query`; unranked
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})  # hyperparameters by --set preset=NAME
 
     seed: int = 0
     device: str = "cpu"  # "cpu" or "cuda"

@@ -98,13 +98,22 @@ def hyperparameters(model: type[Model]) -> dict[str, Any]:
 
 
 def parse_settings(model: type[Model], settings: list[str]) -> dict[str, Any]:
-    """Reads `FIELD=VALUE` texts as hyperparameters of a model; raises `UsageError` naming value and choices."""
+    """Reads `FIELD=VALUE` texts as hyperparameters of a model; raises `UsageError` naming value and choices.
+
+    `preset=NAME` stands for all those of one of its presets; what comes after it goes before it.
+    """
     from pydantic import TypeAdapter, ValidationError
 
     known, hints = hyperparameters(model), get_type_hints(model)
     out: dict[str, Any] = {}
     for setting in settings:
         name, equals, text = setting.partition("=")
+        if equals and name == "preset" and "preset" not in known:
+            if text not in model.presets:
+                there = ", ".join(model.presets) or "it has none"
+                raise UsageError(f"--set {setting!r} names no preset of the model: {there}")
+            out |= model.presets[text]
+            continue
         if not equals or name not in known:
             fields = ", ".join(f"{k}={v}" for k, v in known.items()) or "it has none"
             raise UsageError(f"--set {setting!r} is not FIELD=VALUE with a hyperparameter of the model: {fields}")

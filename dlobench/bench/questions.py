@@ -73,6 +73,7 @@ def _futures(trajectories: Trajectories, n: int, executions: int) -> Question:
         body_mask=first.body_mask,
         boxes=first.boxes,
         actions=first.commanded[:, :n],
+        parameters=first.parameters,
     )
 
     def samples(rows: Floats) -> Floats:

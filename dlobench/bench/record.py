@@ -145,6 +145,7 @@ class Record(_Part):
     config: str = Field(pattern=r"^[0-9a-f]{8}$")
     seed: int = Field(ge=0)
     parameters: int = Field(ge=0, lt=2**63)  # learned ones
+    privileged: bool = False  # whether the model saw the parameters of domains, and has no place
     seconds: float  # wall time of the whole run, data aside
     fits: list[FitReport]
     cells: list[CellScore]

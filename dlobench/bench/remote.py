@@ -130,11 +130,16 @@ class Remote(Model):
         weakref.finalize(self, self.process.forget, self.generation, handle).atexit = False
 
 
-def remote_model(process: Asked, name: str, hyper: Mapping[str, Any], needed: Sequence[str]) -> type[Model]:
-    """Returns a class of stand-ins with the name and hyperparameters of the plugin's; those `needed` lack a default."""
+def remote_model(process: Asked, about: Mapping[str, Any]) -> type[Model]:
+    """Returns a class of stand-ins for the plugin's, of which the process has told.
+
+    It has its name and hyperparameters, of which those `needed` lack a default, and its privilege.
+    """
+    hyper, needed = about["hyperparameters"], about["needed"]
     given = [(key, Any, field(default_factory=partial(copy.deepcopy, value))) for key, value in hyper.items()]
     lacking = [(key, Any, field(kw_only=True)) for key in needed]
-    return dataclasses.make_dataclass(str(name), [*given, *lacking], bases=(Remote,), namespace={"process": process})
+    namespace = {"process": process, "privileged": about["privileged"] is True}
+    return dataclasses.make_dataclass(str(about["class"]), [*given, *lacking], bases=(Remote,), namespace=namespace)
 
 
 def state_of(model: Model) -> State:

@@ -124,6 +124,7 @@ def run(
         config=config,
         seed=order.seed,
         parameters=max(one.parameters for one in finished.values()),
+        privileged=order.plugin.model.privileged,
         seconds=sum(one.seconds for one in finished.values()),
         fits=[one.fit for one in finished.values()],
         cells=cells,

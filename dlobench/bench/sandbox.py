@@ -70,7 +70,7 @@ class Sandbox:
         except Misdeed as error:
             raise RunError(f"model plugin {self._path} {error}") from error
         found = self._found
-        model = remote_model(self, found["class"], found["hyperparameters"], found["needed"])
+        model = remote_model(self, found)
         return ModelPlugin(self._path.stem, self._path, found["sha256"], model, self.protection)
 
     def parse_settings(self, texts: Sequence[str]) -> dict[str, Any]:

@@ -151,7 +151,7 @@ def unpacked(cls: type[Any], arrays: Arrays, prefix: str = "") -> Any:
 def packed(what: Query | Trajectories, prefix: str = "") -> Arrays:
     """Returns the fields of what a model may see by name; the cylinder is never among them."""
     values = {f.name: getattr(what, f.name) for f in fields(what) if f.name != "cylinder"}
-    return {prefix + name: value for name, value in values.items()}
+    return {prefix + name: value for name, value in values.items() if value is not None}
 
 
 def _memory() -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -118,9 +118,17 @@ class Regression:
     target: Target
     batch: int  # windows
     plan: Plan
+    normalise: bool = True
+    epochs: int | None = None  # instead of the plan's patience: validates once an epoch, waits for so many
 
     def __post_init__(self) -> None:
-        positive(self, "width", "depth", "batch")
+        positive(self, "width", "depth", "batch", *(["epochs"] if self.epochs is not None else []))
+
+    def plan_of(self, windows: int) -> Plan:
+        """Returns the plan for a training set of so many windows."""
+        if self.epochs is None:
+            return self.plan
+        return replace(self.plan, every=max(1, windows // self.batch), patience=self.epochs)
 
 
 def regress(
@@ -138,7 +146,9 @@ def regress(
 
     Raises `RunError` when there is nothing to learn from, on values that are not finite, or when the fit diverges.
     """
-    windows, scaling = standardise(train, horizon=horizon, bodies=how.bodies, target=how.target, device=device)
+    windows, scaling = standardise(
+        train, horizon=horizon, bodies=how.bodies, target=how.target, normalise=how.normalise, device=device
+    )
     unseen = scaling.windows(valid, device) if valid else None
     generator = torch.Generator().manual_seed(seed)
     sizes = [windows.inputs.shape[-1], *[how.width] * how.depth, COORDINATES]
@@ -154,5 +164,5 @@ def regress(
         return sum(float(weighted_mse(mlp(layers, x), y, w)) * len(x) for x, y, w in chunks) / len(of)
 
     check = None if unseen is None else lambda: valid_loss(unseen)
-    descend(flat(layers), train_loss, check, plan=how.plan, budget=budget, log=log)
+    descend(flat(layers), train_loss, check, plan=how.plan_of(len(windows)), budget=budget, log=log)
     return Network(detached(layers), scaling)

@@ -94,9 +94,15 @@ class Scaling:
 
 
 def standardise(
-    train: Sequence[Trajectories], *, horizon: int, bodies: bool, target: Target, device: str = "cpu"
+    train: Sequence[Trajectories],
+    *,
+    horizon: int,
+    bodies: bool,
+    target: Target,
+    normalise: bool = True,
+    device: str = "cpu",
 ) -> tuple[Windows, Scaling]:
-    """Returns the windows of the training domains, and the scaling fitted on them.
+    """Returns the windows of the training domains, and the scaling fitted on them; all stays in SI unless `normalise`.
 
     Raises `RunError` when there are no trajectories, when they differ in pushes, or on a value that is not finite.
     """
@@ -106,6 +112,8 @@ def standardise(
     std, target_std = variance.sqrt(), float((target_variance * number).sum().div(number.sum()).sqrt())
     std[std < CONSTANT] = 1
     target_std = target_std if target_std >= CONSTANT else 1.0
+    if not normalise:
+        mean, std, target_std = torch.zeros_like(mean), torch.ones_like(std), 1.0
     scaling = Scaling(horizon, bodies, target, mean.float(), std.float(), target_std)
     return scaling._standardise(raw, device), scaling
 

@@ -25,13 +25,14 @@ def shown(records: Sequence[Record], frame: pd.DataFrame, folder: Path) -> dict[
     first = {(r.task, r.scale, r.model, r.config): r for r in sorted(records, key=lambda record: -record.seed)}
     for _, rows in frame[frame["without"] == ""].groupby(["task", "task_version", "scale"], sort=True):
         last = rows.sort_values(["horizon", "trajectories", "K"], kind="stable").iloc[-1]["cell"]
-        leading = rows[rows["cell"] == last].sort_values(["place", "model", "config"], kind="stable").head(LEADING)
+        leading = rows[(rows["cell"] == last) & rows["place"].notna()]
+        leading = leading.sort_values(["place", "model", "config"], kind="stable").head(LEADING)
         for row in leading.itertuples():
             record = first[row.task, row.scale, row.model, row.config]
             path = record.path(folder).with_suffix(".safetensors")
             windows = _windows([one for one in kept.read(path) if one.cell == last]) if path.is_file() else None
             if windows is not None:
-                found[f"{last}, {row.scale}, place {row.place}: {row.model}@{row.config}"] = windows
+                found[f"{last}, {row.scale}, place {row.place:.0f}: {row.model}@{row.config}"] = windows
     return found
 
 
