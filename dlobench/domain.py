@@ -26,6 +26,7 @@ MAX_BODIES = 3
 MAX_BOXES = 5  # boxes of the largest rigid shape
 BOX_SIZE = 0.015  # m, the edge of every box
 DLO_RADIUS = 0.0024  # m
+PUSHER_RADIUS = 0.0075  # m
 WORKSPACE = 0.25  # m, the edge of the square between the walls
 GRAVITY = 9.81  # m/s²
 

@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from dlobench.domain import PUSHER_RADIUS
 from dlobench.errors import RunError
 from dlobench.world import actions
 from dlobench.world.chain import CYLINDER_RADIUS
-from dlobench.world.scene import PUSHER_RADIUS, REACH
+from dlobench.world.scene import REACH
 
 Array = NDArray[np.float64]
 

@@ -9,10 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from test_domain import UNEQUAL, make
 
-from dlobench.domain import DLO_RADIUS, SEGMENT_LENGTH, WORKSPACE, RigidBody
+from dlobench.domain import DLO_RADIUS, PUSHER_RADIUS, SEGMENT_LENGTH, WORKSPACE, RigidBody
 from dlobench.world.chain import APART, CYLINDER_RADIUS
 from dlobench.world.overlaps import Poses, crossings, depths, outline, outside
-from dlobench.world.scene import PUSHER_RADIUS
 
 Array = NDArray[np.float64]
 

@@ -14,6 +14,7 @@ from dlobench.domain import (
     BOX_SIZE,
     DLO_RADIUS,
     GRAVITY,
+    PUSHER_RADIUS,
     SEGMENT_LENGTH,
     Attachment,
     Domain,
@@ -22,7 +23,7 @@ from dlobench.domain import (
 )
 from dlobench.validation import balls, flex_rod, rods
 from dlobench.validation.peers import Peer
-from dlobench.world import chain, scene, starts
+from dlobench.world import chain, starts
 
 Make = Callable[..., Peer]
 EITHER = pytest.mark.parametrize("make", [rods.make, balls.make], ids=["rod", "balls"])
@@ -160,7 +161,7 @@ def test_pushed_body_moves_as_far_as_the_pusher(make: Make) -> None:
     body = np.array([0.0, 0.05, 0.0])
     edge = min(y - half for _, y, _, half, _ in domain.bodies[0].boxes())
     middle = domain.bodies[0].boxes()[:, 0].mean()
-    pusher = np.array([middle, body[1] + edge - scene.PUSHER_RADIUS - 0.002])
+    pusher = np.array([middle, body[1] + edge - PUSHER_RADIUS - 0.002])
     start = starts.Start(np.array([-0.05, -0.08, 0.0]), np.zeros(domain.segments), body[None], pusher)
     peer = make(domain, start)
     assert peer.push(np.array([0.0, 0.012])).bodies[0, 0, 1] == pytest.approx(body[1] + 0.01, abs=5e-4)

@@ -11,14 +11,14 @@ import pytest
 from numpy.typing import NDArray
 from test_domain import UNEQUAL, make
 
-from dlobench.domain import BOX_SIZE, DLO_RADIUS, SEGMENT_LENGTH, WORKSPACE, Domain, RigidBody
+from dlobench.domain import BOX_SIZE, DLO_RADIUS, PUSHER_RADIUS, SEGMENT_LENGTH, WORKSPACE, Domain, RigidBody
 from dlobench.errors import RunError, UsageError
 from dlobench.trajectories import Trajectories
 from dlobench.validation.shapes import check_materials
 from dlobench.world import actions, env, overlaps, simulate, starts
 from dlobench.world.chain import CYLINDER_RADIUS
 from dlobench.world.physics import Physics
-from dlobench.world.scene import PUSHER_RADIUS, REACH
+from dlobench.world.scene import REACH
 from dlobench.world.simulate import PENETRATION, Account, Simulator, Streams
 from dlobench.world.state import LASTING, State
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -19,6 +20,11 @@ class Budget:
     def steps_of(self, wanted: int) -> int:
         """Returns the steps to take when a model wants `wanted`."""
         return wanted if self.steps is None else min(wanted, self.steps)
+
+    def progress(self, total: int) -> Callable[[int], float]:
+        """Starts the clock and returns a function of the step that tells which share of the budget is spent, 0 to 1."""
+        start, seconds = time.monotonic(), math.inf if self.minutes is None else 60 * self.minutes
+        return lambda step: min(1.0, max(step / total, (time.monotonic() - start) / seconds if seconds else 1.0))
 
     def clock(self) -> Callable[[], bool]:
         """Starts the clock and returns a function that tells whether the minutes are spent."""

@@ -16,6 +16,7 @@ from dlobench.nn.windows import COORDINATES, Scaling, Target, Windows, standardi
 from dlobench.trajectories import Prediction, Query, Trajectories
 
 REPORT = 25  # steps between two entries of the learning curve
+WARM = 0.05  # share of a fit in which a cosine rate rises
 DIVERGED = 100.0  # times the first loss
 CHUNK = 8192  # windows a forward pass without gradient takes at once
 
@@ -36,6 +37,8 @@ class Plan:
     learning_rate: float
     patience: int  # validations without a new best before it stops
     every: int = 500  # steps between two validations
+    cosine: bool = False  # whether the rate rises over the first 5 % and falls to 0 at the end
+    clip: float | None = None  # the norm that gradients are cut to
 
     def __post_init__(self) -> None:
         positive(self, "steps", "learning_rate", "patience", "every")
@@ -57,12 +60,17 @@ def descend(
     """
     optimizer = torch.optim.Adam(weights, lr=plan.learning_rate, fused=True)
     total, spent = budget.steps_of(plan.steps), budget.clock()
+    share = budget.progress(total)
     first, since, reported = math.nan, torch.zeros((), device=weights[0].device), 0
     best, kept, waited = math.inf, [w.detach().clone() for w in weights], 0
     for step in range(1, total + 1):
+        if plan.cosine:
+            optimizer.param_groups[0]["lr"] = plan.learning_rate * _cosine(share(step))
         optimizer.zero_grad()
         loss = train_loss()
         loss.backward()  # type: ignore[no-untyped-call]
+        if plan.clip is not None:
+            torch.nn.utils.clip_grad_norm_(weights, plan.clip)
         optimizer.step()
         since += loss.detach()
         last = step == total or spent()
@@ -87,6 +95,11 @@ def descend(
         with torch.no_grad():
             for weight, value in zip(weights, kept, strict=True):
                 weight.copy_(value)
+
+
+def _cosine(share: float) -> float:
+    """Returns the part of the learning rate that is due when this share of a fit is done."""
+    return min(1.0, share / WARM) * (1 + math.cos(math.pi * min(share, 1.0))) / 2
 
 
 @dataclass(frozen=True)

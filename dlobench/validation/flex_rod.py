@@ -17,13 +17,12 @@ from typing import get_args
 
 import numpy as np
 
-from dlobench.domain import ATTACHMENTS, DLO_RADIUS, LENGTHS, Attachment, Domain, Material, sample
+from dlobench.domain import ATTACHMENTS, DLO_RADIUS, LENGTHS, PUSHER_RADIUS, Attachment, Domain, Material, sample
 from dlobench.errors import RunError
 from dlobench.validation import rods
 from dlobench.validation.check import Effort, Row, at_most
 from dlobench.validation.peers import Array
 from dlobench.world import starts
-from dlobench.world.scene import PUSHER_RADIUS
 from dlobench.world.simulate import Simulator, Streams, simulate
 
 PUSHES = 5

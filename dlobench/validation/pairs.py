@@ -13,13 +13,22 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dlobench.domain import BOX_SIZE, DLO_RADIUS, GRAVITY, SEGMENT_LENGTH, WORKSPACE, Attachment, Domain, RigidBody
+from dlobench.domain import (
+    BOX_SIZE,
+    DLO_RADIUS,
+    GRAVITY,
+    PUSHER_RADIUS,
+    SEGMENT_LENGTH,
+    WORKSPACE,
+    Attachment,
+    Domain,
+    RigidBody,
+)
 from dlobench.validation.check import Effort, Row, relative
 from dlobench.validation.forces import touch
 from dlobench.validation.rig import Edit, Rig
 from dlobench.world.chain import CYLINDER_RADIUS
 from dlobench.world.contact import friction_table
-from dlobench.world.scene import PUSHER_RADIUS
 from dlobench.world.starts import Start
 
 Array = NDArray[np.float64]

@@ -12,10 +12,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from dlobench.domain import DLO_RADIUS, MATERIALS, STIFFNESS, YIELD_CURVATURE, Domain, Material
+from dlobench.domain import DLO_RADIUS, MATERIALS, PUSHER_RADIUS, STIFFNESS, YIELD_CURVATURE, Domain, Material
 from dlobench.validation.check import Effort, Row, at_most
 from dlobench.world.chain import CYLINDER_RADIUS
-from dlobench.world.scene import PUSHER_RADIUS
 from dlobench.world.simulate import Simulator
 from dlobench.world.starts import Start
 from dlobench.world.state import State

@@ -9,10 +9,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dlobench.domain import DLO_RADIUS
+from dlobench.domain import DLO_RADIUS, PUSHER_RADIUS
 from dlobench.errors import RunError
 from dlobench.world.chain import CYLINDER_RADIUS
-from dlobench.world.scene import PUSHER_RADIUS, REACH
+from dlobench.world.scene import REACH
 
 Array = NDArray[np.float64]
 

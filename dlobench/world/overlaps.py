@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dlobench.domain import DLO_RADIUS, WORKSPACE, Domain
+from dlobench.domain import DLO_RADIUS, PUSHER_RADIUS, WORKSPACE, Domain
 from dlobench.world.chain import APART, CYLINDER_RADIUS
-from dlobench.world.scene import PUSHER_RADIUS
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

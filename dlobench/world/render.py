@@ -15,13 +15,21 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dlobench.domain import BOX_SIZE, DLO_RADIUS, MAX_BODIES, MAX_SEGMENTS, SEGMENT_LENGTH, WORKSPACE, Domain
+from dlobench.domain import (
+    BOX_SIZE,
+    DLO_RADIUS,
+    MAX_BODIES,
+    MAX_SEGMENTS,
+    PUSHER_RADIUS,
+    SEGMENT_LENGTH,
+    WORKSPACE,
+    Domain,
+)
 from dlobench.errors import UsageError
 from dlobench.world import canvas
 from dlobench.world import style as styles
 from dlobench.world.chain import CYLINDER_HEIGHT, CYLINDER_RADIUS
 from dlobench.world.pictures import Frame
-from dlobench.world.scene import PUSHER_RADIUS
 from dlobench.world.style import BUILTIN, Camera, CameraName, Style, Surface
 
 PUSHER_HEIGHT = 0.03  # m

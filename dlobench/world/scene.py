@@ -15,14 +15,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from dlobench.domain import BOX_SIZE, DLO_RADIUS, WORKSPACE, Domain, RigidBody
+from dlobench.domain import BOX_SIZE, DLO_RADIUS, PUSHER_RADIUS, WORKSPACE, Domain, RigidBody
 from dlobench.world import contact
 from dlobench.world.chain import add_dlo
 from dlobench.world.pressure import spread
 
 TIMESTEP = 0.004  # s; docs/adr/0008
 TALL = 0.15  # m, half the height of a body's boxes; nothing else depends on it
-PUSHER_RADIUS = 0.0075  # m
 PUSHER_MASS = 0.02  # kg
 REACH = WORKSPACE / 2 - PUSHER_RADIUS - 4.5 * DLO_RADIUS  # m, the pusher's axis stays within: two DLOs fit behind it
 PUSHER_FORCE = 1.5  # N, the bound of each of the two servos: the heaviest body resists with 1.1 N

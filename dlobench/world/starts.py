@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dlobench import ranges
-from dlobench.domain import DLO_RADIUS, SEGMENT_LENGTH, WORKSPACE, Domain, Material, RigidBody
+from dlobench.domain import DLO_RADIUS, PUSHER_RADIUS, SEGMENT_LENGTH, WORKSPACE, Domain, Material, RigidBody
 from dlobench.errors import RunError, UsageError
 from dlobench.world.chain import APART, CYLINDER_RADIUS
-from dlobench.world.scene import PUSHER_RADIUS, REACH
+from dlobench.world.scene import REACH
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,169 @@
+"""Predicts one push by message passing: along the chain of segments, and between them, bodies, walls and the pusher.
+
+All is computed in the frame of the push (origin in the pusher, x along the action), and walls come in as geometry, so
+that a scene that is turned or moved as a whole, walls too, gives a prediction that is turned and moved with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import pad
+
+from dlobench.domain import DLO_RADIUS, PUSHER_RADIUS
+from dlobench.nn.geometry import Scene, corners, nearest, rotated, sweep, walls
+
+TOUCH = PUSHER_RADIUS + DLO_RADIUS  # m, between the centres of pusher and segment
+NEIGHBOURS = (1, 2, 4, 8)  # segments along the chain to which a segment sees the offset
+ROUNDS = ((1, 2), (1, 4), (1, 8))  # of message passing: the neighbours that a segment hears in each
+SEGMENT, BODY, GLOBAL = 32, 26, 6  # features of a segment, of a body, and of the whole scene
+SPAN = 0.08  # m, by which positions are scaled
+LEVER = 0.02  # m, by which a turn of a body is scaled into a length
+
+
+def shifted(rows: Tensor, by: int) -> Tensor:
+    """Returns rows (B, N, C) such that the one at i is that of i − by, 0 beyond the ends."""
+    if abs(by) >= rows.shape[1]:
+        return torch.zeros_like(rows)
+    return pad(rows[:, :-by], (0, 0, by, 0)) if by > 0 else pad(rows[:, -by:], (0, 0, 0, -by))
+
+
+class GraphNetwork(nn.Module):
+    """Predicts how segments and bodies move in one push; for any number of them.
+
+    Interaction network (Battaglia et al. 2016) with the residual rounds of Sanchez-Gonzalez et al. (2020). `scale` (m)
+    is the spread of the displacements; `context` the number of features that are known of the domain.
+    """
+
+    def __init__(self, width: int, scale: float, context: int = 0) -> None:
+        super().__init__()
+        self.scale = scale
+
+        def perceptron(inputs: int) -> nn.Sequential:
+            return nn.Sequential(nn.Linear(inputs, width), nn.SiLU(), nn.Linear(width, width))
+
+        self.segment, self.body = perceptron(SEGMENT + GLOBAL + context), perceptron(BODY + GLOBAL + context)
+        self.norms = nn.ModuleList(nn.LayerNorm(width) for _ in ROUNDS)
+        self.rounds = nn.ModuleList(perceptron(width * (3 + 2 * len(hears))) for hears in ROUNDS)
+        self.touches = nn.ModuleList(nn.Linear(width + 6, width) for _ in ROUNDS)  # messages to bodies
+        self.bodies = nn.ModuleList(perceptron(3 * width) for _ in ROUNDS)
+        self.move, self.turn = nn.Linear(width, 2), nn.Linear(width, 3)
+        with torch.no_grad():
+            for last in (self.move, self.turn):
+                last.weight *= 0.1
+                last.bias.zero_()
+
+    def forward(self, scene: Scene, action: Tensor, context: Tensor | None = None, *, mirror: bool = False) -> Scene:
+        """Returns the scene after an action (B, 2); `mirror` looks at it in a mirror, which is as good a sight."""
+        angle = torch.atan2(action[:, 1], action[:, 0])
+        local = scene.turned(angle, scene.pusher)
+        local = local.mirrored() if mirror else local
+        length = action.norm(dim=-1, keepdim=True)
+        known = _globals(local, length) if context is None else torch.cat([_globals(local, length), context], -1)
+        dlo, bodies = self._moves(local, length, known)
+        if mirror:
+            dlo, bodies = dlo * dlo.new_tensor([1.0, -1.0]), bodies * bodies.new_tensor([1.0, -1.0, -1.0])
+        turned = torch.cat([rotated(bodies[..., :2], angle[:, None]), bodies[..., 2:]], -1)
+        return replace(
+            scene,
+            dlo=scene.dlo + rotated(dlo, angle[:, None]) * scene.exists[..., None],
+            pusher=scene.pusher + action,
+            bodies=scene.bodies + turned * scene.present[..., None],
+        )
+
+    def _moves(self, local: Scene, length: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns displacements of segments (B, N, 2), and of bodies (B, M, 3), in the frame of the push."""
+        exists = local.exists[..., None]
+        share = exists / exists.sum(1, keepdim=True)
+        h = self.segment(_joined(_segments(local, length), known)) * exists
+        bodies = local.bodies.shape[1] > 0
+        if bodies:
+            b, (edge, close) = self.body(_joined(_bodies(local, length), known)), _edges(local)
+        for k, hears in enumerate(ROUNDS):
+            g = self.norms[k](h) * exists
+            whole = (g * share).sum(1, keepdim=True)
+            from_bodies = torch.einsum("bnm,bmc->bnc", close, b) if bodies else torch.zeros_like(g)
+            heard = [shifted(g, sign * by) for by in hears for sign in (1, -1)]
+            if bodies:
+                felt = self.touches[k](torch.cat([g[:, :, None].expand(*close.shape, -1), edge], -1))
+                felt = torch.einsum("bnm,bnmc->bmc", close, torch.relu(felt))
+                b = b + self.bodies[k](torch.cat([b, felt, whole.expand_as(b)], -1))
+            h = h + self.rounds[k](torch.cat([g, *heard, from_bodies, whole.expand_as(g)], -1)) * exists
+        moves = self.move(h) * self.scale
+        if not bodies:
+            return moves, local.bodies
+        return moves, self.turn(b) * self.scale * moves.new_tensor([1.0, 1.0, 1.0 / LEVER])
+
+
+def _joined(rows: Tensor, known: Tensor) -> Tensor:
+    """Returns features of every row (B, P, F) beside those of its scene (B, G)."""
+    return torch.cat([rows, known[:, None].expand(-1, rows.shape[1], -1)], -1)
+
+
+def _globals(local: Scene, length: Tensor) -> Tensor:
+    """Returns what concerns the whole scene: the push, how the table lies, how long the DLO is."""
+    yaw = 4 * local.table[:, 2:]
+    segments = local.exists.sum(1, keepdim=True) / 32
+    return torch.cat([local.table[:, :2] / SPAN, (length - 0.018) / 0.004, yaw.cos(), yaw.sin(), segments], -1)
+
+
+def _segments(local: Scene, length: Tensor) -> Tensor:
+    """Returns the features of segments (B, N, 32)."""
+    dlo, exists = local.dlo, local.exists[..., None]
+    out = [dlo / SPAN]
+    for by in (sign * by for by in NEIGHBOURS for sign in (1, -1)):
+        out += [(shifted(dlo * exists, by) - dlo) * shifted(exists, by) / (0.005 * abs(by))]
+    vector, distance = sweep(dlo, length)
+    gap = distance - TOUCH
+    out += [gap.clamp_max(0.05) / 0.01, torch.exp(-gap.relu() / 0.01)]
+    out += [vector / 0.01 * torch.exp(-((distance / 0.03) ** 2))]
+    out += [walls(dlo, local.table, reach) for reach in (0.005, 0.02)]
+    number = torch.arange(dlo.shape[1], device=dlo.device, dtype=dlo.dtype)
+    ends = torch.stack([number.expand_as(local.exists), local.exists.sum(1, keepdim=True) - 1 - number], -1)
+    return torch.cat([*out, torch.exp(-ends.relu() / 8), torch.exp(-ends.relu() / 2)], -1) * exists
+
+
+def _edges(local: Scene) -> tuple[Tensor, Tensor]:
+    """Returns features of pairs of a segment and a body (B, N, M, 6), and how close they are (B, N, M), 0 to 1."""
+    vector, gap = nearest(local.dlo, local.bodies, local.boxes)
+    lever = local.dlo[:, :, None] + vector - local.bodies[:, None, :, :2]
+    near = torch.stack([torch.exp(-gap / reach) for reach in (0.003, 0.01)], -1)
+    close = torch.exp(-gap / 0.01) * local.exists[..., None] * local.present[:, None]
+    return torch.cat([vector.clamp(-0.05, 0.05) / 0.01, lever.clamp(-0.1, 0.1) / LEVER, near], -1), close
+
+
+def _bodies(local: Scene, length: Tensor) -> Tensor:
+    """Returns the features of bodies (B, M, 26)."""
+    centre, yaw = local.bodies[..., :2], local.bodies[..., 2:]
+    half = local.boxes[..., 3:]
+    size = (half[..., :1] > 0).to(half) / (half[..., :1] > 0).sum(-2, keepdim=True).clamp_min(1)
+    arms = rotated(local.boxes[..., :2], yaw)
+    moments = (torch.stack([arms[..., 0] ** 2, arms[..., 1] ** 2, arms[..., 0] * arms[..., 1]], -1) * size).sum(-2)
+    out = [centre / SPAN, moments / LEVER**2, (half[..., 0] > 0).sum(-1, keepdim=True).to(half) / 5]
+    path = torch.stack([torch.zeros_like(length), length / 2, length], 1) * length.new_tensor([1.0, 0.0])  # (B, 3, 2)
+    vector, gap = (each.transpose(1, 2) for each in nearest(path, local.bodies, local.boxes))
+    near = torch.exp(-(gap - PUSHER_RADIUS).relu() / 0.005)[..., None]
+    lever = path[:, None] + vector - centre[:, :, None]
+    out += [near.flatten(2), (vector * near / 0.01).flatten(2), (lever * near / LEVER)[:, :, -1]]
+    tips = corners(local.bodies, local.boxes)
+    felt = walls(tips.flatten(1, 2), local.table, 0.005).view(*tips.shape[:3], 3)
+    felt = felt * size.repeat_interleave(4, -2)
+    arm = tips - centre[:, :, None]
+    out += [felt.sum(2), (arm[..., 0] * felt[..., 2] - arm[..., 1] * felt[..., 1]).sum(-1, keepdim=True) / LEVER]
+    out.append(_others(local, tips))
+    return torch.cat(out, -1) * local.present[..., None]
+
+
+def _others(local: Scene, tips: Tensor) -> Tensor:
+    """Returns where the nearest points of other bodies press on the corners of each body: (B, M, 5)."""
+    B, M, count = tips.shape[:3]
+    vector, gap = nearest(tips.flatten(1, 2), local.bodies, local.boxes)
+    apart = 1 - torch.eye(M, device=gap.device, dtype=gap.dtype)
+    near = torch.exp(-gap / 0.005).view(B, M, count, M) * apart[:, None] * local.present[:, None, None]
+    near = near * (local.boxes[..., 3] > 0).to(gap).repeat_interleave(4, -1)[..., None]
+    nearness, which = near.flatten(2).max(-1)
+    chosen = vector.view(B, M, count * M, 2).gather(2, which[..., None, None].expand(B, M, 1, 2))[:, :, 0]
+    arm = tips.gather(2, (which // M)[..., None, None].expand(B, M, 1, 2))[:, :, 0] - local.bodies[..., :2]
+    return torch.cat([nearness[..., None], nearness[..., None] * torch.cat([chosen / 0.005, arm / LEVER], -1)], -1)
