@@ -43,7 +43,7 @@ class Gnn(Model):
             unrolled=self.unrolled,
             body_weight=self.body_weight,
         )
-        self.network = fit(
+        self.network, _ = fit(
             how,
             train,
             valid,

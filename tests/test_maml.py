@@ -148,7 +148,7 @@ def test_support_and_query_are_disjoint_and_of_one_domain(
     domains = [toy_domains(1, seed=n, trajectories=n)[0] for n in sizes]
     made, _ = standardise(domains, horizon=2, bodies=False, target="displacement")
     tasks = torch.tensor([0, 1, 1, 0] * 25)
-    support, query = drawn = episodes.rows(made, tasks, K, queries=4, generator=generator())
+    support, query = drawn = episodes.rows(made.count, tasks, K, queries=4, generator=generator())
     assert (support.shape[1], query.shape[1]) == expected
     rows = torch.cat(drawn, dim=1)
     assert all(len(set(row)) == len(row) for row in rows.tolist())

@@ -30,17 +30,21 @@ class Scene:
     def __len__(self) -> int:
         return len(self.dlo)
 
+    def moved(self, dlo: Tensor) -> Scene:
+        """Returns it with its segments (B, N, 2) elsewhere."""
+        return replace(self, dlo=dlo)
+
     def turned(self, angle: Tensor, about: Tensor) -> Scene:
         """Returns it in a frame whose origin is `about` (B, 2) and whose x axis has the direction `angle` (B,)."""
 
-        def moved(points: Tensor) -> Tensor:
+        def seen(points: Tensor) -> Tensor:
             return rotated(points - about[:, None], -angle[:, None])
 
         def posed(poses: Tensor) -> Tensor:
-            return torch.cat([moved(poses[..., :2]), poses[..., 2:] - angle[:, None, None]], -1)
+            return torch.cat([seen(poses[..., :2]), poses[..., 2:] - angle[:, None, None]], -1)
 
-        pusher, table = moved(self.pusher[:, None])[:, 0], posed(self.table[:, None])[:, 0]
-        return replace(self, dlo=moved(self.dlo), pusher=pusher, bodies=posed(self.bodies), table=table)
+        pusher, table = seen(self.pusher[:, None])[:, 0], posed(self.table[:, None])[:, 0]
+        return replace(self, dlo=seen(self.dlo), pusher=pusher, bodies=posed(self.bodies), table=table)
 
     def mirrored(self) -> Scene:
         """Returns it with y and all yaws turned round, bodies and their boxes too: the same physics."""

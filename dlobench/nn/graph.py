@@ -30,6 +30,12 @@ def shifted(rows: Tensor, by: int) -> Tensor:
     return pad(rows[:, :-by], (0, 0, by, 0)) if by > 0 else pad(rows[:, -by:], (0, 0, 0, -by))
 
 
+def local_frame(scene: Scene, action: Tensor, origin: Tensor, *, mirror: bool) -> Scene:
+    """Returns a scene in the frame of a push: the origin (B, 2), x along the action (B, 2); or that frame's mirror."""
+    local = scene.turned(torch.atan2(action[:, 1], action[:, 0]), origin)
+    return local.mirrored() if mirror else local
+
+
 class GraphNetwork(nn.Module):
     """Predicts how segments and bodies move in one push; for any number of them.
 
@@ -58,10 +64,13 @@ class GraphNetwork(nn.Module):
     def forward(self, scene: Scene, action: Tensor, context: Tensor | None = None, *, mirror: bool = False) -> Scene:
         """Returns the scene after an action (B, 2); `mirror` looks at it in a mirror, which is as good a sight."""
         angle = torch.atan2(action[:, 1], action[:, 0])
-        local = scene.turned(angle, scene.pusher)
-        local = local.mirrored() if mirror else local
+        local = local_frame(scene, action, scene.pusher, mirror=mirror)
         length = action.norm(dim=-1, keepdim=True)
-        known = _globals(local, length) if context is None else torch.cat([_globals(local, length), context], -1)
+        known = (
+            scene_features(local, length)
+            if context is None
+            else torch.cat([scene_features(local, length), context], -1)
+        )
         dlo, bodies = self._moves(local, length, known)
         if mirror:
             dlo, bodies = dlo * dlo.new_tensor([1.0, -1.0]), bodies * bodies.new_tensor([1.0, -1.0, -1.0])
@@ -77,7 +86,7 @@ class GraphNetwork(nn.Module):
         """Returns displacements of segments (B, N, 2), and of bodies (B, M, 3), in the frame of the push."""
         exists = local.exists[..., None]
         share = exists / exists.sum(1, keepdim=True)
-        h = self.segment(_joined(_segments(local, length), known)) * exists
+        h = self.segment(_joined(segment_features(local, length), known)) * exists
         bodies = local.bodies.shape[1] > 0
         if bodies:
             b, (edge, close) = self.body(_joined(_bodies(local, length), known)), _edges(local)
@@ -102,14 +111,14 @@ def _joined(rows: Tensor, known: Tensor) -> Tensor:
     return torch.cat([rows, known[:, None].expand(-1, rows.shape[1], -1)], -1)
 
 
-def _globals(local: Scene, length: Tensor) -> Tensor:
+def scene_features(local: Scene, length: Tensor) -> Tensor:
     """Returns what concerns the whole scene: the push, how the table lies, how long the DLO is."""
     yaw = 4 * local.table[:, 2:]
     segments = local.exists.sum(1, keepdim=True) / 32
     return torch.cat([local.table[:, :2] / SPAN, (length - 0.018) / 0.004, yaw.cos(), yaw.sin(), segments], -1)
 
 
-def _segments(local: Scene, length: Tensor) -> Tensor:
+def segment_features(local: Scene, length: Tensor) -> Tensor:
     """Returns the features of segments (B, N, 32)."""
     dlo, exists = local.dlo, local.exists[..., None]
     out = [dlo / SPAN]

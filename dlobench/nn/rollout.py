@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +36,22 @@ class Rollout:
         for name, value in (("unrolled", self.unrolled), ("body_weight", self.body_weight)):
             if not 0 <= value <= 1:
                 raise UsageError(f"{name} = {value!r} is not between 0 and 1")
+
+
+class Source:
+    """Draws the windows that a network learns from, and what it is told of their domains: here nothing."""
+
+    size = 0  # of the context
+
+    def weights(self) -> list[Tensor]:
+        """Returns what is learned beside the network."""
+        return []
+
+    def draw(
+        self, of: Recorded, count: int, n: int, generator: torch.Generator, *, mirror: bool = False
+    ) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Returns trajectories (B,), the pushes before the windows (B,), and contexts (B, C) of about `count` windows."""
+        return *of.draw(count, n, generator), None
 
 
 def unroll(
@@ -79,10 +95,11 @@ def fit(
     device: str,
     budget: Budget,
     log: Log,
-) -> GraphNetwork:
+    source: Callable[[float], Source] = lambda scale: Source(),
+) -> tuple[GraphNetwork, Source]:
     """Fits a network to the training domains and keeps the weights that predict the validation domains best.
 
-    Raises `RunError` as `record` and `descend` do.
+    `source` is made for the spread of displacements in one push, m. Raises `RunError` as `record` and `descend` do.
     """
     recorded = record(train, horizon, device)
     unseen = record(valid, horizon, device) if valid else None
@@ -90,27 +107,32 @@ def fit(
     scale = recorded.spread(1)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        network = GraphNetwork(how.width, scale).to(device)
+        told = source(scale)
+        network = GraphNetwork(how.width, scale, told.size).to(device)
     done, step = budget.progress(budget.steps_of(how.plan.steps)), 0
 
     def train_loss() -> Tensor:
         nonlocal step
         step += 1
         n = 1 if done(step) <= 1 - how.unrolled else horizon
-        cut = recorded.cut(*recorded.draw(how.batch, n, generator), n)
         mirror = bool(torch.randint(2, (), generator=generator))
-        return losses(network, cut, how.body_weight, mirror=mirror).mean() / scale**2
+        rows, starts, context = told.draw(recorded, how.batch, n, generator, mirror=mirror)
+        found = losses(network, recorded.cut(rows, starts, n), how.body_weight, context, mirror=mirror)
+        return found.mean() / scale**2
 
     def valid_loss(of: Recorded) -> float:
         chosen = torch.Generator().manual_seed(0)  # the same windows at every validation
         count = min(VALIDATED, len(of.dlo) * (of.pushes - horizon + 1))
-        windows = zip(*(torch.split(each, CHUNK) for each in of.draw(count, horizon, chosen)), strict=True)
-        found = [losses(network, of.cut(rows, starts, horizon), how.body_weight)[:, -1] for rows, starts in windows]
+        rows, starts, context = told.draw(of, count, horizon, chosen)
+        found = []
+        for part in torch.arange(len(rows)).split(CHUNK):  # type: ignore[no-untyped-call]
+            known = None if context is None else context[part]
+            found.append(losses(network, of.cut(rows[part], starts[part], horizon), how.body_weight, known)[:, -1])
         return float(torch.cat(found).mean()) / scale**2
 
     check = None if unseen is None else lambda: valid_loss(unseen)
-    descend(list(network.parameters()), train_loss, check, plan=how.plan, budget=budget, log=log)
-    return network.requires_grad_(False)
+    descend([*network.parameters(), *told.weights()], train_loss, check, plan=how.plan, budget=budget, log=log)
+    return network.requires_grad_(False), told
 
 
 @torch.no_grad()

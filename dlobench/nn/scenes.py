@@ -37,6 +37,7 @@ class Recorded:
     exists: Tensor  # (D, N)  1 or 0
     present: Tensor  # (D, M)  1 or 0
     boxes: Tensor  # (D, M, 5, 5)
+    parameters: Tensor | None  # (D, 11)  where all domains tell them
 
     @property
     def pushes(self) -> int:
@@ -100,6 +101,7 @@ def record(domains: Sequence[Trajectories], horizon: int, device: str = "cpu") -
     def joined(arrays: list[np.ndarray]) -> Tensor:
         return torch.from_numpy(np.concatenate(arrays, dtype=np.float32)).to(device)
 
+    told = [d.parameters for d in domains if d.parameters is not None]
     counts = torch.tensor([len(domain) for domain in domains])
     return Recorded(
         dlo=joined([np.where(d.dlo_mask[:, None], d.dlo[..., :2], 0) for d in domains]),
@@ -111,6 +113,7 @@ def record(domains: Sequence[Trajectories], horizon: int, device: str = "cpu") -
         exists=joined([d.dlo_mask[None] for d in domains]),
         present=joined([d.body_mask[None, :most] for d in domains]),
         boxes=joined([d.boxes[None, :most] for d in domains]),
+        parameters=joined([known[None] for known in told]) if len(told) == len(domains) else None,
     )
 
 
