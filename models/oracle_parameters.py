@@ -1,4 +1,4 @@
-"""Predicts with the true parameters of each domain, which no other model may see: the ceiling of adaptation, unranked."""
+"""Predicts with the true parameters of each domain, which no other model sees: the ceiling of adaptation, unranked."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class OracleParameters(Model):
 
     How far above `gnn` it is says what adaptation can be worth at most, and how far `gnn_context` comes says how much
     of that the support tells. Never adapts; the board gives it no place. Not in the paper. Shapes and cost: those of
-    `gnn`. `dlobench check` gives it parameters as the bench does.
+    `gnn`.
     """
 
     privileged: ClassVar[bool] = True

@@ -17,6 +17,7 @@ from dlobench.bench.plugins import ModelPlugin
 from dlobench.errors import RunError
 from dlobench.nn.budget import Budget
 from dlobench.trajectories import Query, Trajectories
+from dlobench.trajectories import parameters as parameters_of
 from dlobench.world.simulate import simulate
 
 HORIZON = 2
@@ -32,8 +33,11 @@ class Check:
     why: str = ""
 
 
-def tiny() -> list[Trajectories]:
-    """Simulates five domains, 3 trajectories of 6 pushes each: every material, two attachments, 16 and 12 cm."""
+def tiny(*, privileged: bool = False) -> list[Trajectories]:
+    """Simulates five domains, 3 trajectories of 6 pushes each: every material, two attachments, 16 and 12 cm.
+
+    Those who are privileged see the parameters of each, as in a run.
+    """
     out = []
     for i, material in enumerate((*domain.MATERIALS, *domain.MATERIALS[:2])):
         attachment = domain.ATTACHMENTS[2 * (i % 2)]
@@ -41,7 +45,8 @@ def tiny() -> list[Trajectories]:
         of = domain.sample(
             np.random.default_rng([1, i]), material=material, attachment=attachment, length=length, rigid_objects=0
         )
-        out.append(simulate(of, [[1, i, k] for k in range(3)], pushes=6)[0])
+        made = simulate(of, [[1, i, k] for k in range(3)], pushes=6)[0]
+        out.append(dataclasses.replace(made, parameters=parameters_of(of)) if privileged else made)
     return out
 
 
@@ -50,7 +55,7 @@ def check(plugin: ModelPlugin, again: Callable[[], ModelPlugin] | None = None) -
 
     `again` loads the plugin in another process, where the same seed must give the same model.
     """
-    data = tiny()
+    data = tiny(privileged=plugin.model.privileged)
     query, _ = data[-1].windows(HORIZON)
     fitted: list[Model] = []
 

@@ -50,7 +50,7 @@ class Source:
     def draw(
         self, of: Recorded, count: int, n: int, generator: torch.Generator, *, mirror: bool = False
     ) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Returns trajectories (B,), the pushes before the windows (B,), and contexts (B, C) of about `count` windows."""
+        """Returns trajectories (B,), pushes before the windows (B,) and contexts (B, C) of about `count` windows."""
         return *of.draw(count, n, generator), None
 
 
