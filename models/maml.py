@@ -18,7 +18,7 @@ from dlobench.nn.windows import COORDINATES, Target, Windows, standardise
 from dlobench.trajectories import Prediction, Query, Trajectories
 
 Adapts = Literal["all", "head"]
-RatePer = Literal["layer", "weight"]
+RatePer = Literal["network", "layer", "weight"]
 Batch = tuple[Tensor, Tensor, Tensor]  # inputs (N, B, F), targets (N, B, 64), weights (N, 1, 64)
 
 
@@ -33,8 +33,8 @@ def inner_step(
 ) -> Layers:
     """Returns N networks, stacked, each `steps` gradient steps from `layers` on its own task.
 
-    `rates` has one number for each layer that adapts, or one for each of their weights and biases (flat, layer by
-    layer). In the first order the gradients are constants to whoever differentiates the result (Finn et al. 2017).
+    `rates` has one number for all layers that adapt, or one for each, or one for each of their weights and biases (flat,
+    layer by layer). In the first order the gradients are constants to whoever differentiates the result (Finn et al. 2017).
     The tasks share no weight in the stack, so the gradient of the sum of their losses holds the gradient of each.
     """
     inputs, targets, weight = support
@@ -62,10 +62,10 @@ def adapting(layers: Layers, adapts: Adapts) -> Layers:
 
 def by_weight(rates: Tensor, layers: Layers) -> Layers:
     """Returns the rate of each weight and bias: a number for the whole layer, or a tensor of the same shape."""
-    if len(rates) == len(layers):
-        return [(rate, rate) for rate in rates]
+    if len(rates) in (1, len(layers)):
+        return [(rate, rate) for rate in rates.expand(len(layers))]
     tensors = flat(layers)
-    parts = rates.split([tensor.numel() for tensor in tensors])
+    parts = torch.split(rates, [tensor.numel() for tensor in tensors])
     shaped = [part.view_as(tensor) for part, tensor in zip(parts, tensors, strict=True)]
     return list(zip(shaped[::2], shaped[1::2], strict=True))
 
@@ -133,7 +133,7 @@ class Maml(Model):
         sizes = [windows.inputs.shape[-1], *[self.width] * self.depth, COORDINATES]
         layers = initial(sizes, generator, self.device)
         moving = adapting(layers, self.adapts)
-        number = size(moving) if self.rate_per == "weight" else len(moving)
+        number = {"network": 1, "layer": len(moving), "weight": size(moving)}[self.rate_per]
         log_rates = torch.full((number,), self.inner_rate, device=self.device).log_().requires_grad_()
         supports = [self.K_train] if self.K_train is not None else [K for K in setting.K if K > 0] or [1]
 

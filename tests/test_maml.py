@@ -174,7 +174,7 @@ def test_rates_a_weight_are_learned_and_used_to_adapt(adapts: str, number: int |
         ("inner_steps", 0, "inner_steps = 0 is not a whole number"),
         ("inner_steps", 1.5, "inner_steps = 1.5 is not a whole number"),
         ("first_order", "maybe", "first_order = 'maybe' is neither true nor false"),
-        ("rate_per", "unit", "rate_per = 'unit' is none of layer, weight"),
+        ("rate_per", "unit", "rate_per = 'unit' is none of network, layer, weight"),
         ("adapts", "body", "adapts = 'body' is none of all, head"),
     ],
 )
