@@ -33,8 +33,9 @@ def inner_step(
 ) -> Layers:
     """Returns N networks, stacked, each `steps` gradient steps from `layers` on its own task.
 
-    `rates` has one number for all layers that adapt, or one for each, or one for each of their weights and biases (flat,
-    layer by layer). In the first order the gradients are constants to whoever differentiates the result (Finn et al. 2017).
+    `rates` has one number for all layers that adapt, or one for each, or one for each of their weights and biases
+    (flat, layer by layer). In the first order the gradients are constants to whoever differentiates the result
+    (Finn et al. 2017).
     The tasks share no weight in the stack, so the gradient of the sum of their losses holds the gradient of each.
     """
     inputs, targets, weight = support

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from dlobench.models.maml import Batch, Maml, RatePer
+from dlobench.models.maml import Batch, Maml, RatePer  # type: ignore[import-not-found]
 from torch import Tensor
 
 from dlobench.bench.model import Setting
@@ -24,7 +24,7 @@ MISSING = (
 def learn2learn() -> Any:
     """Imports learn2learn; raises `RunError` with the way to get it when it is missing."""
     try:
-        import learn2learn as library  # noqa: PLC0415  # an extra
+        import learn2learn as library  # type: ignore[import-not-found]  # noqa: PLC0415  # an extra
     except ImportError as error:
         raise RunError(MISSING) from error
     return library
@@ -50,7 +50,7 @@ def looped_loss(
     """Returns the loss on the query windows after learn2learn's inner steps, the mean over tasks."""
     learner = learn2learn().algorithms.MAML(Perceptron(layers), lr=rate, first_order=first_order)
     losses = []
-    with torch.enable_grad():  # type: ignore[no-untyped-call]
+    with torch.enable_grad():
         for task in range(len(support[0])):
             clone = learner.clone()
             inputs, targets, weight = (tensor[task] for tensor in support)
@@ -62,7 +62,7 @@ def looped_loss(
 
 
 @dataclass
-class MamlLearn2learn(Maml):
+class MamlLearn2learn(Maml):  # type: ignore[misc]
     """Learns as `maml` does, its meta loss and gradient made by learn2learn's MAML (Arnold et al. 2020), task by task.
 
     That class has one rate for the whole network (here learned too) and adapts all layers, so `rate_per` is "network"
