@@ -16,7 +16,8 @@ from dlobench.nn.networks import Layers, flat, mlp, weighted_mse
 from dlobench.trajectories import Trajectories
 
 MISSING = (
-    "maml_learn2learn needs learn2learn, which is not installed: by pip 26 (23 ignores the option), pip install learn2learn==0.2.0 "
+    "maml_learn2learn needs learn2learn, which is not installed: "
+    "by pip 26 (23 ignores the option), pip install learn2learn==0.2.0 "
     '--config-settings="--build-option=build_ext"'
 )
 
