@@ -13,7 +13,7 @@ from torch import Tensor
 from toy import error, toy_domains
 
 from dlobench.bench.model import Setting
-from dlobench.errors import RunError
+from dlobench.errors import RunError, UsageError
 from dlobench.nn import episodes, networks
 from dlobench.nn.budget import Log
 from dlobench.nn.windows import standardise
@@ -85,6 +85,102 @@ def test_each_rate_moves_its_own_layer() -> None:
     for number, ((weight, bias), (new_weight, new_bias)) in enumerate(zip(layers, adapted, strict=True)):
         assert torch.equal(weight.expand_as(new_weight), new_weight) == (number != 1)
         assert torch.equal(bias.expand_as(new_bias), new_bias) == (number != 1)
+
+
+@pytest.mark.parametrize("options", [{}, {"steps": 3}, {"adapts": "head", "steps": 2}])
+def test_second_order_gradient_equals_finite_differences(options: dict[str, Any]) -> None:
+    layers, rates, support, query = problem()
+    layers = [(0.3 * w.detach(), b.detach()) for w, b in layers]
+    learned = networks.flat(layers)
+    rates = (rates[-1:] if options.get("adapts") == "head" else rates).detach()
+    for tensor in learned:
+        tensor.requires_grad_()
+    slopes = torch.autograd.grad(maml.meta_loss(layers, rates, support, query, **options), learned)
+    rng, step = generator(), 1e-6
+    with torch.no_grad():
+        for tensor, slope in zip(learned, slopes, strict=True):
+            way = torch.randn(tensor.shape, generator=rng, dtype=torch.float64)
+            ends = []
+            for sign in (1, -2):
+                tensor.add_(sign * step * way)
+                ends.append(maml.meta_loss(layers, rates, support, query, **options))
+            tensor.add_(step * way)
+            expected = (ends[0] - ends[1]) / (2 * step)
+            torch.testing.assert_close((slope * way).sum(), expected, rtol=1e-5, atol=1e-9)
+
+
+def test_first_order_is_the_gradient_with_constant_inner_slopes() -> None:
+    layers, rates, support, query = problem()
+    learned = [*networks.flat(layers), rates]
+    ours = torch.autograd.grad(maml.meta_loss(layers, rates, support, query, first_order=True), learned)
+    theirs = torch.autograd.grad(looped_loss(layers, rates, support, query, order=1), learned)
+    for a, b in zip(ours, theirs, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-10, atol=1e-12)
+
+
+def test_several_steps_are_single_steps_repeated() -> None:
+    layers, rates, support, _ = problem()
+    at_once = maml.inner_step(layers, rates, support, steps=3)
+    for task in range(3):
+        alone = [tensor[task : task + 1] for tensor in support]
+        now = layers
+        for _ in range(3):
+            now = [(w[0], b[0]) for w, b in maml.inner_step(now, rates, alone)]
+        for a, b in zip(networks.flat(at_once), networks.flat(now), strict=True):
+            torch.testing.assert_close(a[task], b, rtol=1e-12, atol=1e-12)
+
+
+def test_the_head_alone_adapts_and_the_body_still_learns() -> None:
+    layers, rates, support, query = problem()
+    adapted = maml.inner_step(layers, rates[-1:], support, adapts="head")
+    for old, new in zip(networks.flat(layers[:-1]), networks.flat(adapted[:-1]), strict=True):
+        assert torch.equal(old.expand_as(new), new)
+    full = maml.inner_step(layers, rates, support)
+    for new, expected in zip(adapted[-1], full[-1], strict=True):
+        torch.testing.assert_close(new, expected, rtol=1e-12, atol=1e-12)
+    loss = maml.meta_loss(layers, rates[-1:], support, query, adapts="head")
+    assert all(slope.abs().max() > 1e-6 for slope in torch.autograd.grad(loss, networks.flat(layers)))
+
+
+def test_a_rate_a_weight_scales_each_slope_by_its_own() -> None:
+    layers, rates, support, _ = problem()
+    each = torch.cat([r.expand(t.numel()) for layer, r in zip(layers, rates, strict=True) for t in layer]).clone()
+    same, by_layer = (maml.inner_step(layers, r, support) for r in (each, rates))
+    for a, b in zip(networks.flat(same), networks.flat(by_layer), strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-12, atol=1e-12)
+    each = each.detach()
+    each[7] = 0  # input 0, unit 7 of the first layer
+    frozen = maml.inner_step(layers, each, support)[0][0]
+    assert torch.equal(frozen[:, 0, 7], layers[0][0][0, 7].expand(3))
+    torch.testing.assert_close(frozen[:, 1:], same[0][0][:, 1:])
+
+
+@pytest.mark.parametrize(("adapts", "number"), [("all", None), ("head", 8 * 64 + 64)])
+def test_rates_a_weight_are_learned_and_used_to_adapt(adapts: str, number: int | None) -> None:
+    model = maml.Maml(width=8, depth=2, steps=60, rate_per="weight", adapts=adapts, inner_steps=2, first_order=True)
+    domains = toy_domains(4, trajectories=8)
+    model.fit(domains, [], Setting(horizon=2, K=(1,)))
+    assert model.rates.shape == (number or networks.size(model.network.layers),)
+    assert (model.rates > 0).all() and len(set(model.rates.tolist())) > 100
+    adapted = model.adapt(domains[0])
+    pairs = list(zip(model.network.layers, adapted.network.layers, strict=True))
+    moved = [not torch.equal(old[0], new[0]) for old, new in pairs]
+    assert moved == ([True] * 3 if adapts == "all" else [False, False, True])
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("inner_steps", 0, "inner_steps = 0 is not a whole number"),
+        ("inner_steps", 1.5, "inner_steps = 1.5 is not a whole number"),
+        ("first_order", "maybe", "first_order = 'maybe' is neither true nor false"),
+        ("rate_per", "unit", "rate_per = 'unit' is none of network, layer, weight"),
+        ("adapts", "body", "adapts = 'body' is none of all, head"),
+    ],
+)
+def test_bad_options_are_refused_by_name(name: str, value: Any, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        maml.Maml(steps=1, **{name: value}).fit(toy_domains(2, trajectories=3), [], Setting(horizon=2, K=(1,)))
 
 
 @pytest.fixture(scope="module")
