@@ -13,7 +13,7 @@ from dlobench.errors import RunError
 from dlobench.nn.episodes import Batch, draw
 from dlobench.nn.fit import Network, Plan, Regression, positive, regress
 from dlobench.nn.networks import Layers, mlp, stacked, weighted_mse
-from dlobench.nn.windows import Target
+from dlobench.nn.windows import Target, Windows
 from dlobench.trajectories import Prediction, Query, Trajectories
 
 RATES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # of the gradient steps that are tried
@@ -31,6 +31,12 @@ def steps(layers: Layers, support: Batch, rate: float) -> Iterator[Layers]:
         slopes = torch.func.grad(loss)(stack)
         stack = [(w - rate * dw, b - rate * db) for (w, b), (dw, db) in zip(stack, slopes, strict=True)]
         yield stack
+
+
+def _loss(stack: Layers, windows: Windows) -> float:
+    """Returns the loss of one network, stacked, on all windows."""
+    inputs, targets, weight = windows.pick(slice(None))
+    return float(weighted_mse(mlp(stack, inputs[None]), targets[None], weight[None]))
 
 
 @dataclass
@@ -102,7 +108,7 @@ class Finetune(Model):
         return best[1], best[2]
 
     def adapt(self, support: Trajectories) -> Finetune:
-        """Returns a copy that took the chosen steps on the support windows; itself when there are none."""
+        """Returns a copy that took the chosen steps on the support; itself without any, or where they do not help."""
         if not len(support) or not self.chosen:
             return self
         rate, count = self.chosen[min(self.chosen, key=lambda K: (abs(K - len(support)), K))]
@@ -113,6 +119,9 @@ class Finetune(Model):
         with torch.no_grad():
             walk = steps(self.network.layers, windows.pick_trajectories(rows), rate)
             (adapted,) = (stack for number, stack in zip(range(1, count + 1), walk, strict=False) if number == count)
+        before, after = (_loss(layers, windows) for layers in (stacked(self.network.layers, 1), adapted))
+        if not after < before:
+            return self  # what served on validation domains runs away here
         model = copy.copy(self)
         model.network = Network([(weight[0], bias[0]) for weight, bias in adapted], self.network.scaling)
         return model

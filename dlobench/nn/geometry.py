@@ -70,10 +70,11 @@ def rotated(vectors: Tensor, angle: Tensor) -> Tensor:
 def walls(points: Tensor, table: Tensor, reach: float) -> Tensor:
     """Returns how near the walls are to points (B, P, 2): (B, P, 3), a sum of e^(−gap/reach) and of that along normals.
 
-    A sum over the four walls has no order, so that a quarter turn of the world changes nothing.
+    A sum over the four walls has no order, so that a quarter turn of the world changes nothing. Beyond a wall it grows
+    no more than by e.
     """
     local = rotated(points - table[:, None, :2], -table[:, None, 2])
-    low, high = (torch.exp(-(WORKSPACE / 2 + sign * local) / reach) for sign in (1, -1))
+    low, high = (torch.exp(-(WORKSPACE / 2 + sign * local).clamp_min(-reach) / reach) for sign in (1, -1))
     push = rotated(low - high, table[:, None, 2])
     return torch.cat([(low + high).sum(-1, keepdim=True), push], -1)
 
