@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -30,9 +31,13 @@ ALL = [FITS, PREDICTS, SAMPLED, TWICE, UNTOUCHED, PERMUTED, ADAPTS, UNCHANGED, F
 @pytest.fixture(scope="module", autouse=True)
 def simulated_once() -> Iterator[list[Trajectories]]:
     """Lets all checks share one simulation of the tiny set, and gives each its own copy."""
-    data = contract.tiny()
+    data = contract.tiny(privileged=True)
+
+    def copied(*, privileged: bool = False) -> list[Trajectories]:
+        return [replace(each, parameters=each.parameters if privileged else None) for each in copy.deepcopy(data)]
+
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(contract, "tiny", lambda: copy.deepcopy(data))
+        patch.setattr(contract, "tiny", copied)
         yield data
 
 

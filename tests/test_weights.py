@@ -33,6 +33,7 @@ from dlobench.errors import RunError, UsageError
 from dlobench.nn.budget import Budget
 from dlobench.trajectories import Prediction, Query
 
+OURS = ["persistence", "ridge", "mlp", "multitask", "finetune", "maml", "gnn", "gnn_context"]
 TOYS = toy_domains(4, trajectories=6)
 QUERY = TOYS[3].windows(2)[0]
 SETTING = Setting(2, (1,), Budget(steps=20))
@@ -112,7 +113,7 @@ def plugin(text: str, folder: Path) -> str:
     return str(path)
 
 
-@pytest.mark.parametrize("what", ["persistence", "mlp", "multitask", "maml", RIDGE, MODULE], ids=lambda w: w[:11])
+@pytest.mark.parametrize("what", [*OURS, RIDGE, MODULE], ids=lambda w: w[:11])
 def test_a_model_is_restored_in_another_process_to_the_last_bit(what: str, tmp_path: Path) -> None:
     if what is RIDGE:
         pytest.importorskip("sklearn", reason="scikit-learn is not installed: pip install 'dlobench[test]'")
@@ -137,7 +138,7 @@ def test_a_model_is_restored_in_another_process_to_the_last_bit(what: str, tmp_p
     assert (tmp_path / "w").read_bytes() == (tmp_path / "v").read_bytes()
 
 
-@pytest.mark.parametrize("name", ["persistence", "mlp", "multitask", "maml"])
+@pytest.mark.parametrize("name", OURS)
 def test_a_model_is_restored_without_a_process(name: str, tmp_path: Path) -> None:
     plugin, support = load_model(name), TOYS[3].take(slice(1))
     model = plugin.model(seed=4)
