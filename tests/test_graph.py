@@ -297,3 +297,17 @@ def test_ridge_solves_its_normal_equations(penalty: float | None) -> None:
     exists = query.dlo_mask
     still = error(query.dlo[None, ..., :2][:, :, exists], truth.dlo[:, :, exists])
     assert error(model.predict(query, 1).dlo[:, :, exists], truth.dlo[:, :, exists]) < still
+
+
+def test_a_neural_process_depends_on_what_a_support_holds_not_on_its_order() -> None:
+    process = load("neural_process")
+    domains = toy_domains(6, trajectories=8)
+    model = process.NeuralProcess(steps=150, width=32)
+    model.fit(domains[:4], domains[4:5], Setting(horizon=2, K=(0, 3)))
+    query, _ = domains[5].windows(2)
+    one = model.adapt(domains[5].take(np.array([0, 1, 2]))).predict(query, 1).dlo
+    two = model.adapt(domains[5].take(np.array([2, 0, 1]))).predict(query, 1).dlo
+    np.testing.assert_allclose(one, two, atol=1e-6)
+    assert np.abs(one - model.adapt(domains[0].take(slice(3))).predict(query, 1).dlo).max() > 1e-5
+    assert np.abs(one - model.predict(query, 1).dlo).max() > 1e-5
+    assert model.adapt(domains[5].take(slice(0))) is model

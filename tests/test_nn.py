@@ -324,7 +324,7 @@ def test_persistence_predicts_where_things_are() -> None:
     assert not np.shares_memory(prediction.bodies, query.bodies) and not np.shares_memory(prediction.dlo, query.dlo)
 
 
-@pytest.mark.parametrize("name", ["mlp", "multitask", "finetune", "maml", "gnn", "gnn_context"])
+@pytest.mark.parametrize("name", ["mlp", "multitask", "finetune", "maml", "neural_process", "gnn", "gnn_context"])
 def test_models_are_the_same_at_a_seed_and_leave_the_global_one_alone(name: str) -> None:
     train = toy_domains(3, trajectories=4)
     query, _ = train[0].windows(2)
@@ -340,7 +340,7 @@ def test_models_are_the_same_at_a_seed_and_leave_the_global_one_alone(name: str)
     assert torch.equal(state, torch.random.get_rng_state())
 
 
-@pytest.mark.parametrize("name", ["mlp", "multitask", "finetune", "maml", "gnn", "gnn_context"])
+@pytest.mark.parametrize("name", ["mlp", "multitask", "finetune", "maml", "neural_process", "gnn", "gnn_context"])
 def test_models_keep_to_their_budget(name: str) -> None:
     train = toy_domains(2, trajectories=4)
     for budget in (Budget(steps=1), Budget(minutes=0)):

@@ -33,7 +33,7 @@ from dlobench.errors import RunError, UsageError
 from dlobench.nn.budget import Budget
 from dlobench.trajectories import Prediction, Query
 
-OURS = ["persistence", "ridge", "mlp", "multitask", "finetune", "maml", "gnn", "gnn_context"]
+OURS = ["persistence", "ridge", "mlp", "multitask", "finetune", "maml", "neural_process", "gnn", "gnn_context"]
 TOYS = toy_domains(4, trajectories=6)
 QUERY = TOYS[3].windows(2)[0]
 SETTING = Setting(2, (1,), Budget(steps=20))
