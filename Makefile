@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: help run test lint type unit leaderboard faults validate bench bench-data bench-world bench-step clean
+.PHONY: help run test lint type unit leaderboard faults validate bench bench-data bench-world bench-step bench-models clean
 
 help:  ## Show what can be made
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -49,6 +49,9 @@ bench-world: $(VENV)/installed  ## The world beside MuJoCo's rod, ball joints an
 
 bench-step: $(VENV)/installed  ## Step-size error against speed, as a picture
 	$(BIN)/python tests/benchmarks/step_size.py docs/pictures/step_size.png
+
+bench-models: $(VENV)/installed  ## A meta step beside a loop over tasks, and predictions a second
+	$(BIN)/pytest tests/benchmarks/test_models.py --benchmark-enable --benchmark-sort=name
 
 validate: $(VENV)/installed  ## The world beside closed forms and independent codes (up to 10 minutes)
 	$(BIN)/dlobench validate

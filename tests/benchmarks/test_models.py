@@ -1,0 +1,140 @@
+"""Measures models beside their peers: a meta step beside a loop over tasks, predictions beside bare matrix products.
+
+Two threads, float32. Where benchmarks are disabled, all run once on little, and a meta step is held against its peer.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from typing import Any
+
+import pytest
+import torch
+from pytest_benchmark.fixture import BenchmarkFixture
+from rates import Tables
+from torch import Tensor
+
+from dlobench.bench.plugins import load_model
+from dlobench.nn.geometry import Scene
+from dlobench.nn.graph import GraphNetwork
+from dlobench.nn.networks import Layers, flat, initial, mlp, weighted_mse
+
+STEP = "a meta step of maml, forward and backward, ms; × how many times as fast as a loop over tasks"
+PREDICTIONS = "predictions a second, 1 push ahead"
+WINDOWS = 17  # of a trajectory at n = 4
+QUERIES = 10  # trajectories of a task
+
+
+@pytest.fixture(autouse=True)
+def _two_threads(benchmark: BenchmarkFixture) -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(2 if benchmark.enabled else 1)
+    yield
+    torch.set_num_threads(before)
+
+
+def batch(N: int, trajectories: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
+    """Makes the windows of so many trajectories of N tasks: inputs, targets, weights."""
+    shape = N, trajectories * WINDOWS
+    inputs, targets = torch.randn(*shape, 74, generator=generator), torch.randn(*shape, 64, generator=generator)
+    return inputs, targets, torch.full((N, 1, 64), 1 / 64)
+
+
+def looped(layers: Layers, rates: Tensor, support: Any, query: Any) -> Tensor:
+    """Returns the loss after an inner step, task by task, as `torch.autograd.grad` in a loop has it."""
+    losses = []
+    for task in range(len(support[0])):
+        inputs, targets, weight = (each[task] for each in support)
+        slopes = torch.autograd.grad(
+            weighted_mse(mlp(layers, inputs), targets, weight), flat(layers), create_graph=True
+        )
+        pairs = zip(layers, zip(slopes[::2], slopes[1::2], strict=True), rates, strict=True)
+        adapted = [(w - r * dw, b - r * db) for (w, b), (dw, db), r in pairs]
+        inputs, targets, weight = (each[task] for each in query)
+        losses.append(weighted_mse(mlp(adapted, inputs), targets, weight))
+    return torch.stack(losses).mean()
+
+
+def paired(one: Callable[[], object], other: Callable[[], object], rounds: int) -> tuple[float, float]:
+    """Returns the median seconds of two functions that take turns."""
+    found: tuple[list[float], list[float]] = ([], [])
+    for _ in range(rounds):
+        for function, times in zip((one, other), found, strict=True):
+            begin = time.perf_counter()
+            function()
+            times.append(time.perf_counter() - begin)
+    return statistics.median(found[0]), statistics.median(found[1])
+
+
+@pytest.mark.parametrize(("N", "K"), [(5, 1), (5, 10), (5, 50), (50, 1), (50, 10), (50, 50)])
+def test_meta_step(benchmark: BenchmarkFixture, tables: Tables, N: int, K: int) -> None:
+    meta_loss = load_model("maml").model.fit.__globals__["meta_loss"]
+    generator = torch.Generator().manual_seed(0)
+    layers = initial([74, *[32] * 6, 64], generator)
+    rates = torch.full((7,), 0.1, requires_grad=True)
+    tasks, trajectories = (N, K) if benchmark.enabled else (2, 1)
+    support, query = batch(tasks, trajectories, generator), batch(tasks, QUERIES, generator)
+
+    def step(loss: Callable[..., Tensor]) -> list[Tensor]:
+        return list(torch.autograd.grad(loss(layers, rates, support, query), [*flat(layers), rates]))
+
+    for one, other in zip(step(meta_loss), step(looped), strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-6)
+    ours, theirs = paired(lambda: step(meta_loss), lambda: step(looped), 7 if benchmark.enabled else 1)
+    benchmark.pedantic(lambda: step(meta_loss), rounds=1)  # type: ignore[no-untyped-call]
+    if benchmark.enabled:
+        line = f"N = {N:<3} K = {K:<3}{1e3 * ours:8.1f}, loop {1e3 * theirs:8.1f}  × {theirs / ours:.1f}"
+        tables.setdefault(STEP, []).append(line)
+
+
+def products(sizes: list[int], rows: int) -> Callable[[], None]:
+    """Returns a function that multiplies as a network of these sizes does, and does nothing else."""
+    inputs = [torch.randn(rows, size) for size in sizes[:-1]]
+    weights = [torch.randn(a, b) for a, b in pairwise(sizes)]
+
+    def run() -> None:
+        for x, w in zip(inputs, weights, strict=True):
+            x @ w
+
+    return run
+
+
+def test_predictions_of_an_mlp(benchmark: BenchmarkFixture, tables: Tables) -> None:
+    sizes, rows = [80, 128, 128, 128, 128, 64], 8192 if benchmark.enabled else 64
+    layers, inputs = initial(sizes, torch.Generator().manual_seed(0)), torch.randn(rows, 80)
+
+    def predict() -> Tensor:
+        with torch.no_grad():
+            return mlp(layers, inputs)
+
+    ours, bare = paired(predict, products(sizes, rows), 15 if benchmark.enabled else 1)
+    out = benchmark.pedantic(predict, rounds=1)  # type: ignore[no-untyped-call]
+    assert out.shape == (rows, 64)
+    if benchmark.enabled:
+        line = f"{'mlp 4 × 128':28}{rows / ours:14,.0f}, {bare / ours:.2f} of bare matrix products"
+        tables.setdefault(PREDICTIONS, []).append(line)
+
+
+@pytest.mark.parametrize("bodies", [0, 3])
+def test_predictions_of_a_gnn(benchmark: BenchmarkFixture, tables: Tables, bodies: int) -> None:
+    B = 256 if benchmark.enabled else 4
+    boxes = torch.zeros(B, bodies, 5, 5)
+    boxes[:, :, :4, 3:] = 0.0075
+    dlo, present = 0.05 * torch.randn(B, 32, 2), torch.ones(B, bodies)
+    poses = 0.05 * torch.randn(B, bodies, 3)
+    scene = Scene(dlo, torch.ones(B, 32), torch.zeros(B, 2), poses, present, boxes, torch.zeros(B, 3))
+    network, action = GraphNetwork(32, 0.004).requires_grad_(False), 0.01 * torch.randn(B, 2)
+
+    def predict() -> Tensor:  # both sights, as `rollout.predict` does
+        one, other = network(scene, action), network(scene, action, mirror=True)
+        mean: Tensor = (one.dlo + other.dlo) / 2
+        return mean
+
+    ours, _ = paired(predict, lambda: None, 9 if benchmark.enabled else 1)
+    out = benchmark.pedantic(predict, rounds=1)  # type: ignore[no-untyped-call]
+    assert out.isfinite().all()
+    if benchmark.enabled:
+        tables.setdefault(PREDICTIONS, []).append(f"{f'gnn, {bodies} bodies':28}{B / ours:14,.0f}")
