@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from dlobench.bench.model import Model, Setting
-from dlobench.nn.fit import Plan, positive
 from dlobench.nn.graph import GraphNetwork
 from dlobench.nn.rollout import Rollout, fit, predict
 from dlobench.trajectories import Prediction, Query, Trajectories
@@ -35,11 +34,11 @@ class Gnn(Model):
 
     def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
         """Learns from all training domains; keeps the weights that are best on the validation domains."""
-        positive(self, "steps", "learning_rate")
         how = Rollout(
             width=self.width,
-            plan=Plan(self.steps, self.learning_rate, patience=self.steps, every=250, cosine=True, clip=1.0),
+            learning_rate=self.learning_rate,
             batch=self.batch,
+            steps=self.steps,
             unrolled=self.unrolled,
             body_weight=self.body_weight,
         )

@@ -13,7 +13,7 @@ from torch import Tensor
 from dlobench.bench.model import Model, Setting
 from dlobench.nn import episodes
 from dlobench.nn.context import PushEncoder
-from dlobench.nn.fit import Plan, positive
+from dlobench.nn.fit import positive
 from dlobench.nn.graph import GraphNetwork
 from dlobench.nn.rollout import Rollout, Source, fit, predict
 from dlobench.nn.scenes import Recorded, record
@@ -83,11 +83,12 @@ class GnnContext(Model):
 
     def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
         """Learns from tasks of all training domains; keeps the weights that are best on those of validation domains."""
-        positive(self, "steps", "learning_rate", "context", "tasks", "points")
+        positive(self, "context", "tasks", "points")
         how = Rollout(
             width=self.width,
-            plan=Plan(self.steps, self.learning_rate, patience=self.steps, every=250, cosine=True, clip=1.0),
+            learning_rate=self.learning_rate,
             batch=self.batch,
+            steps=self.steps,
             unrolled=self.unrolled,
             body_weight=self.body_weight,
         )

@@ -10,7 +10,6 @@ import torch
 from torch import Tensor
 
 from dlobench.bench.model import Model, Setting
-from dlobench.nn.fit import Plan, positive
 from dlobench.nn.graph import GraphNetwork
 from dlobench.nn.rollout import Rollout, fit, predict
 from dlobench.trajectories import Prediction, Query, Trajectories
@@ -44,11 +43,11 @@ class GnnNoise(Model):
 
     def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
         """Learns network and noise from all training domains; keeps the weights that are best on validation domains."""
-        positive(self, "steps", "learning_rate")
         how = Rollout(
             width=self.width,
-            plan=Plan(self.steps, self.learning_rate, patience=self.steps, every=250, cosine=True, clip=1.0),
+            learning_rate=self.learning_rate,
             batch=self.batch,
+            steps=self.steps,
             unrolled=self.unrolled,
             body_weight=self.body_weight,
         )

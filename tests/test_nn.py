@@ -202,6 +202,12 @@ def test_windows_are_found_by_number_and_by_trajectory() -> None:
     torch.testing.assert_close(weight.sum(-1), torch.ones(2, 1))
 
 
+def test_a_domain_without_segments_is_refused() -> None:
+    bare = replace(toy_domains(2, trajectories=3)[1], dlo_mask=np.zeros(32, bool))
+    with pytest.raises(RunError, match="domain 1 of 2 has no segment"):
+        windows.standardise([toy_domains(1, trajectories=3)[0], bare], horizon=2, bodies=False, target="absolute")
+
+
 def test_what_cannot_be_learnt_from_is_refused() -> None:
     [domain] = toy_domains(1, trajectories=2)
     options: dict[str, Any] = {"horizon": 2, "bodies": False, "target": "displacement"}

@@ -17,7 +17,7 @@ from test_cli import Call, call, mini  # noqa: F401  # fixtures
 from test_journal import Quiet
 from test_store import write
 
-from dlobench.bench import kept, results, submission, template
+from dlobench.bench import kept, results, submission, template, weights
 from dlobench.bench.fresh import Fresh, fresh
 from dlobench.bench.plugins import load_model, load_task
 from dlobench.bench.record import Record
@@ -269,6 +269,13 @@ def test_fresh_domains_tell_who_was_fitted_to_the_old(runs: Path, mini: Path, ca
     found = compared(results.read(path, runs))
     assert len(found) == 3
     assert all(not one.holds and one.fresh < one.recorded for one in found)
+    (file,) = path.with_suffix("").glob("*.safetensors")
+    state = weights.read(file)
+    for odd in ([], ["float", "0.5"], ["tuple", [1]]):
+        weights.write(file, replace(state, tree=state.tree | {"ridge": odd}))
+        with pytest.raises((RunError, UsageError), match=r"ridge = |no weights of"):
+            compared(record)
+    weights.write(file, state)
     resealed(path, other_hyperparameters)
     with pytest.raises(RunError, match=r"the record of .* but .* holds"):
         compared(results.read(path, runs))

@@ -6,6 +6,7 @@ were handed in, and everything about the new domains follows from it.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +16,8 @@ import numpy as np
 from dlobench.bench import questions, weights
 from dlobench.bench.evaluate import score_domain, summarise
 from dlobench.bench.fitting import fit_name, seen
+from dlobench.bench.model import Model
+from dlobench.bench.order import recordable
 from dlobench.bench.plugins import ModelPlugin, load_task
 from dlobench.bench.record import CellScore, DomainScore, Record
 from dlobench.bench.remote import revive
@@ -58,7 +61,7 @@ def fresh(
     scores: dict[tuple[Fit, int, int], list[DomainScore]] = {}
     with reporter.bar("scoring on new domains", "fits") as listen:
         for done, fit in enumerate(fits, 1):
-            model = revive(plugin.model, _weights(path, fit, record), device="cpu")
+            model = _revived(path, fit, record, plugin)
             for span in task.parts(spans, fit)["test"]:
                 there = seen(store, of, span, plugin.model)
                 name, cell = f"{of.name}/{span.domain:05d}", str(of.cell(span.domain))
@@ -78,20 +81,17 @@ def _recorded(fit: Fit, record: Record) -> bool:
     return (fit.trajectories, fit.horizon, domain, fit.without) in keys
 
 
-def _weights(path: Path, fit: Fit, record: Record) -> weights.State:
+def _revived(path: Path, fit: Fit, record: Record, plugin: ModelPlugin) -> Model:
+    """Returns the model of a fit, of the seed and hyperparameters that the record says."""
     file = path.with_suffix("") / f"{fit_name(fit)}.safetensors"
     if not file.is_file():
         raise RunError(f"{path} has no weights at {file}: they come with a submission, and with the folder of a run")
-    state = weights.read(file)
+    model = revive(plugin.model, weights.read(file), device="cpu")
     for name, said in {"seed": record.seed, **record.provenance.hyperparameters}.items():
-        held = state.tree.get(name)
-        if isinstance(held, list) and held[0] in ("list", "tuple") and isinstance(said, list):
-            held = held[1]
-        elif isinstance(held, list):
-            continue  # of a kind that JSON has no word for
-        if held != said:
+        held = recordable({name: getattr(model, name, None)})[name]
+        if json.dumps(held) != json.dumps(said):  # where a tuple is a list
             raise RunError(f"{path} is the record of {name} = {said!r}, but {file.name} holds {name} = {held!r}")
-    return state
+    return model
 
 
 def _cell(task: Task, key: tuple[Fit, int, int], domains: list[DomainScore]) -> CellScore:

@@ -45,13 +45,11 @@ COLUMNS = [
 def table(records: list[Record], tidy: pd.DataFrame | None = None) -> pd.DataFrame:
     """Returns one row a cell and configuration, best first within a cell; what a row has not is NaN, or "" of a word.
 
-    `tidy` are the `scores` of the records, for those who have them already.
-
-    A configuration is a competitor, and only those over the same data and split meet. Numbers are over the domains that
-    every seed has: skill and MSE with intervals at 95 %, places with ties within a cell, ranks over the cells of a task
-    and scale (`ranking.placed` and `ranked`), means of the rest. Privileged models come last in a cell and have neither
-    place nor rank. Raises `RunError` for two records of the same seed,
-    and for records that cannot be placed together.
+    `tidy` are the `scores` of the records, for those who have them already. A configuration is a competitor, and only
+    those over the same data and split meet. Numbers are over the domains that every seed has: skill and MSE with
+    intervals at 95 %, places with ties within a cell, ranks over the cells of a task and scale (`ranking.placed` and
+    `ranked`), means of the rest. Privileged models come last in a cell and have neither place nor rank. Raises
+    `RunError` for two records of the same seed, and for records that cannot be placed together.
     """
     _check(records)
     records = sorted(records, key=lambda record: record.seed)  # so that means add up in one order

@@ -26,11 +26,6 @@ class Budget:
         start, seconds = time.monotonic(), math.inf if self.minutes is None else 60 * self.minutes
         return lambda step: min(1.0, max(step / total, (time.monotonic() - start) / seconds if seconds else 1.0))
 
-    def clock(self) -> Callable[[], bool]:
-        """Starts the clock and returns a function that tells whether the minutes are spent."""
-        start = time.monotonic()
-        return lambda: self.minutes is not None and time.monotonic() - start > 60 * self.minutes
-
 
 @dataclass
 class Log:

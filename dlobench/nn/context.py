@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
@@ -31,7 +32,7 @@ class PushEncoder(nn.Module):
     def forward(self, cut: Cut, *, mirror: bool = False) -> Tensor:
         """Returns what each of P pushes says, (P, C)."""
         action = cut.actions[:, 0]
-        after = cut.start.moved(cut.dlo[:, 0])
+        after = replace(cut.start, dlo=cut.dlo[:, 0])
         local, then = (local_frame(each, action, cut.start.pusher, mirror=mirror) for each in (cut.start, after))
         length = action.norm(dim=-1, keepdim=True)
         moved = (then.dlo - local.dlo) / self.scale
@@ -45,7 +46,7 @@ class PushEncoder(nn.Module):
     def pooled(self, said: Tensor, pushes: int) -> Tensor:
         """Returns contexts (…, C + 1) of what pushes say, (…, P, C), when there were `pushes` of them."""
         count = said.new_full((*said.shape[:-2], 1), math.log1p(pushes) / 7)
-        return torch.cat([said.mean(-2) if said.shape[-2] else said.sum(-2), count], -1)
+        return torch.cat([said.mean(-2), count], -1)
 
     @torch.no_grad()
     def domain(self, seen: Recorded) -> Tensor:

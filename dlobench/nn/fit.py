@@ -59,7 +59,7 @@ def descend(
     is not finite or has grown a hundredfold.
     """
     optimizer = torch.optim.Adam(weights, lr=plan.learning_rate, fused=True)
-    total, spent = budget.steps_of(plan.steps), budget.clock()
+    total = budget.steps_of(plan.steps)
     share = budget.progress(total)
     first, since, reported = math.nan, torch.zeros((), device=weights[0].device), 0
     best, kept, waited = math.inf, [w.detach().clone() for w in weights], 0
@@ -73,7 +73,7 @@ def descend(
             torch.nn.utils.clip_grad_norm_(weights, plan.clip)
         optimizer.step()
         since += loss.detach()
-        last = step == total or spent()
+        last = share(step) >= 1
         validate = valid_loss is not None and (last or step % plan.every == 0)
         if step == 1 or step % REPORT == 0 or last or validate:
             values = {"loss": since.item() / (step - reported)}  # reading the loss at every step would stall a GPU
@@ -99,7 +99,7 @@ def descend(
 
 def _cosine(share: float) -> float:
     """Returns the part of the learning rate that is due when this share of a fit is done."""
-    return min(1.0, share / WARM) * (1 + math.cos(math.pi * min(share, 1.0))) / 2
+    return min(1.0, share / WARM) * (1 + math.cos(math.pi * share)) / 2
 
 
 @dataclass(frozen=True)

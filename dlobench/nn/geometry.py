@@ -30,10 +30,6 @@ class Scene:
     def __len__(self) -> int:
         return len(self.dlo)
 
-    def moved(self, dlo: Tensor) -> Scene:
-        """Returns it with its segments (B, N, 2) elsewhere."""
-        return replace(self, dlo=dlo)
-
     def turned(self, angle: Tensor, about: Tensor) -> Scene:
         """Returns it in a frame whose origin is `about` (B, 2) and whose x axis has the direction `angle` (B,)."""
 

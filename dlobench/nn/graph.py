@@ -66,11 +66,9 @@ class GraphNetwork(nn.Module):
         angle = torch.atan2(action[:, 1], action[:, 0])
         local = local_frame(scene, action, scene.pusher, mirror=mirror)
         length = action.norm(dim=-1, keepdim=True)
-        known = (
-            scene_features(local, length)
-            if context is None
-            else torch.cat([scene_features(local, length), context], -1)
-        )
+        known = scene_features(local, length)
+        if context is not None:
+            known = torch.cat([known, context], -1)
         dlo, bodies = self._moves(local, length, known)
         if mirror:
             dlo, bodies = dlo * dlo.new_tensor([1.0, -1.0]), bodies * bodies.new_tensor([1.0, -1.0, -1.0])

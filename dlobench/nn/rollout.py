@@ -18,7 +18,7 @@ from dlobench.nn.scenes import Cut, Recorded, record, scene
 from dlobench.trajectories import Prediction, Query, Trajectories
 
 CHUNK = 1024  # windows that a pass without gradient takes at once
-VALIDATED = 2048  # windows that a validation looks at, at most
+DRAWS, DRAWN = 16, 128  # of a validation, and the windows of each: a source may tell more in one than in another
 
 
 @dataclass(frozen=True)
@@ -26,16 +26,22 @@ class Rollout:
     """Says how to fit a network of one push: single pushes first, then rollouts as long as the horizon."""
 
     width: int
-    plan: Plan
+    learning_rate: float
     batch: int  # windows
+    steps: int
     unrolled: float  # share of the fit that learns rollouts
     body_weight: float  # of the error of bodies in the loss
 
     def __post_init__(self) -> None:
-        positive(self, "width", "batch")
+        positive(self, "width", "learning_rate", "batch", "steps")
         for name, value in (("unrolled", self.unrolled), ("body_weight", self.body_weight)):
             if not 0 <= value <= 1:
                 raise UsageError(f"{name} = {value!r} is not between 0 and 1")
+
+    @property
+    def plan(self) -> Plan:
+        """Returns the plan: a cosine over all steps, from which nothing but the budget stops it early."""
+        return Plan(self.steps, self.learning_rate, patience=self.steps, every=250, cosine=True, clip=1.0)
 
 
 class Source:
@@ -104,7 +110,7 @@ def fit(
     recorded = record(train, horizon, device)
     unseen = record(valid, horizon, device) if valid else None
     generator = torch.Generator().manual_seed(seed)
-    scale = recorded.spread(1)
+    scale = recorded.spread()
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         told = source(scale)
@@ -121,13 +127,10 @@ def fit(
         return found.mean() / scale**2
 
     def valid_loss(of: Recorded) -> float:
-        chosen = torch.Generator().manual_seed(0)  # the same windows at every validation
-        count = min(VALIDATED, len(of.dlo) * (of.pushes - horizon + 1))
-        rows, starts, context = told.draw(of, count, horizon, chosen)
-        found = []
-        for part in torch.arange(len(rows)).split(CHUNK):  # type: ignore[no-untyped-call]
-            known = None if context is None else context[part]
-            found.append(losses(network, of.cut(rows[part], starts[part], horizon), how.body_weight, known)[:, -1])
+        chosen, found = torch.Generator().manual_seed(0), []  # the same windows at every validation
+        for _ in range(DRAWS):
+            rows, starts, context = told.draw(of, DRAWN, horizon, chosen)
+            found.append(losses(network, of.cut(rows, starts, horizon), how.body_weight, context)[:, -1])
         return float(torch.cat(found).mean()) / scale**2
 
     check = None if unseen is None else lambda: valid_loss(unseen)

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from dlobench.errors import RunError
 from dlobench.nn.geometry import Scene
+from dlobench.nn.windows import check
 from dlobench.trajectories import Query, Trajectories
 
 
@@ -70,10 +71,10 @@ class Recorded:
         starts = torch.randint(self.pushes - n + 1, (count,), generator=generator)
         return rows.to(self.dlo.device), starts.to(self.dlo.device)
 
-    def spread(self, n: int) -> float:
-        """Returns the root mean square of a coordinate's displacement in n pushes, m; 1 where nothing moves."""
+    def spread(self) -> float:
+        """Returns the root mean square of a coordinate's displacement in one push, m; 1 where nothing moves."""
         weight = self.exists[self.domain][:, None, :, None]
-        moved = (self.dlo[:, n:] - self.dlo[:, :-n]) * weight
+        moved = self.dlo.diff(dim=1) * weight
         mean = moved.double().square().sum() / (2 * moved.shape[1] * weight.double().sum())
         return float(mean.sqrt()) or 1.0
 
@@ -84,16 +85,9 @@ def record(domains: Sequence[Trajectories], horizon: int, device: str = "cpu") -
     Raises `RunError` where there are none, where they differ in pushes or are shorter than the horizon, for a domain
     that has no segment, and for a value that is not finite.
     """
-    if not sum(map(len, domains)):
-        raise RunError(f"no trajectories to learn from in {len(domains)} domains")
-    if len(found := {domain.pushes for domain in domains}) > 1:
-        raise RunError(f"trajectories differ in pushes: {sorted(found)}")
-    if not 1 <= horizon <= domains[0].pushes:
-        raise RunError(f"horizon = {horizon} does not fit into trajectories of {domains[0].pushes} pushes")
+    check(domains, horizon)
     most = max(int(domain.body_mask.sum()) for domain in domains)
     for number, domain in enumerate(domains):
-        if not domain.dlo_mask.any():
-            raise RunError(f"domain {number} of {len(domains)} has no segment")
         masked = domain.dlo[:, :, domain.dlo_mask], domain.bodies[:, :, domain.body_mask]
         if not all(np.isfinite(each).all() for each in (*masked, domain.pusher, domain.executed)):
             raise RunError(f"domain {number} of {len(domains)} holds a position or action that is not finite")

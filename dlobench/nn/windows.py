@@ -93,6 +93,19 @@ class Scaling:
         return Windows(**{name: value.to(device) for name, value in vars(raw).items()})
 
 
+def check(domains: Sequence[Trajectories], horizon: int) -> None:
+    """Raises `RunError` where nothing can be learnt: none, of several lengths, too short, without segments."""
+    if not sum(map(len, domains)):
+        raise RunError(f"no trajectories to learn from in {len(domains)} domains")
+    if len(pushes := {domain.pushes for domain in domains}) > 1:
+        raise RunError(f"trajectories differ in pushes: {sorted(pushes)}")
+    if not 1 <= horizon <= domains[0].pushes:
+        raise RunError(f"horizon = {horizon} does not fit into trajectories of {domains[0].pushes} pushes")
+    for number, domain in enumerate(domains):
+        if not domain.dlo_mask.any():
+            raise RunError(f"domain {number} of {len(domains)} has no segment")
+
+
 def standardise(
     train: Sequence[Trajectories],
     *,
@@ -104,7 +117,7 @@ def standardise(
 ) -> tuple[Windows, Scaling]:
     """Returns the windows of the training domains, and the scaling fitted on them; all stays in SI unless `normalise`.
 
-    Raises `RunError` when there are no trajectories, when they differ in pushes, or on a value that is not finite.
+    Raises `RunError` as `check` does, and on a value that is not finite.
     """
     raw = _gather(train, horizon, bodies, target)
     mean, variance, _ = _moments(raw.inputs, raw.exists[raw.domain])
@@ -137,13 +150,8 @@ def _exists(source: Query | Trajectories, bodies: bool, horizon: int) -> Tensor:
 
 def _gather(domains: Sequence[Trajectories], horizon: int, bodies: bool, target: Target) -> Windows:
     """Returns the windows in SI."""
+    check(domains, horizon)
     count = torch.tensor([len(domain) for domain in domains], dtype=torch.long)
-    if not count.sum():
-        raise RunError(f"no trajectories to learn from in {len(domains)} domains")
-    if len({domain.pushes for domain in domains}) > 1:
-        raise RunError(f"trajectories differ in pushes: {sorted({domain.pushes for domain in domains})}")
-    if not 1 <= horizon <= domains[0].pushes:
-        raise RunError(f"horizon = {horizon} does not fit into trajectories of {domains[0].pushes} pushes")
     exists = torch.stack([_exists(domain, bodies, horizon) for domain in domains])
     shape = int(count.sum()), domains[0].pushes - horizon + 1
     inputs, targets = torch.empty(*shape, exists.shape[1]), torch.empty(*shape, COORDINATES)

@@ -33,9 +33,9 @@ def build(
     """Returns the page of records and of their `leaderboard.table`; the same records give the same bytes.
 
     `rollouts` holds predicted windows by the name to show them under, `tidy` the `scores` of the records, for those who
-    have them already. What comes from records is text wherever it is
-    shown: it is escaped here or set as text by the page's script, and no script runs but those whose digests stand in
-    the page's policy. Raises `UsageError` where the libraries of the extra `page` are missing.
+    have them already. What comes from records is text wherever it is shown: it is escaped here or set as text by the
+    page's script, and no script runs but those whose digests stand in the page's policy. Raises `UsageError` where the
+    libraries of the extra `page` are missing.
     """
     found = libraries()
     data = payload(records, frame, scores(records) if tidy is None else tidy) | {"charts": CHARTS, "curve": CURVE}
