@@ -17,7 +17,7 @@ from dlobench.nn.graph import LEVER, GraphNetwork
 from dlobench.nn.scenes import Cut, Recorded, record, scene
 from dlobench.trajectories import Prediction, Query, Trajectories
 
-CHUNK = 1024  # windows that a pass without gradient takes at once
+CHUNK = 256  # windows that a pass without gradient takes at once
 DRAWS, DRAWN = 16, 128  # of a validation, and the windows of each: a source may tell more in one than in another
 
 
