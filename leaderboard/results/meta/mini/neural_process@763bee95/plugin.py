@@ -71,7 +71,7 @@ class NeuralProcess(Model):
     what the domain is like. Each step draws N domains and one K of those it will be asked about or 0; of a support,
     `points` windows are looked at while learning, all of them later. Not in the paper; it sees what `maml` sees.
     Shapes: support (P, 66 + 2 n) and (P, 64), then (B, 66 + 2 n) to (B, 64). Cost: 161,000 parameters at n = 4; on one
-    core about 15 ms a step.
+    core about 17 ms a step.
     """
 
     N: int = 16  # tasks a step

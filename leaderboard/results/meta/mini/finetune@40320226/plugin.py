@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 
 import torch
 
@@ -100,7 +101,7 @@ class Finetune(Model):
 
         best = loss(stacked(self.network.layers, len(again))), 0.0, 0
         for rate in RATES:
-            for number, stack in zip(range(1, self.most + 1), steps(self.network.layers, support, rate), strict=False):
+            for number, stack in enumerate(islice(steps(self.network.layers, support, rate), self.most), 1):
                 found = loss(stack)
                 if not found < 10 * best[0]:
                     break  # it runs away
@@ -118,7 +119,7 @@ class Finetune(Model):
         rows = torch.arange(len(support), device=self.device)[None]
         with torch.no_grad():
             walk = steps(self.network.layers, windows.pick_trajectories(rows), rate)
-            (adapted,) = (stack for number, stack in zip(range(1, count + 1), walk, strict=False) if number == count)
+            *_, adapted = islice(walk, count)
         before, after = (_loss(layers, windows) for layers in (stacked(self.network.layers, 1), adapted))
         if not after < before:
             return self  # what served on validation domains runs away here

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from dlobench.bench.model import Model, Setting
 from dlobench.errors import RunError
-from dlobench.nn.fit import Plan, positive
 from dlobench.nn.graph import GraphNetwork
 from dlobench.nn.rollout import Rollout, Source, fit, predict
 from dlobench.nn.scenes import Recorded
@@ -55,11 +54,11 @@ class OracleParameters(Model):
 
     def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
         """Learns from all training domains; keeps the weights that are best on the validation domains."""
-        positive(self, "steps", "learning_rate")
         how = Rollout(
             width=self.width,
-            plan=Plan(self.steps, self.learning_rate, patience=self.steps, every=250, cosine=True, clip=1.0),
+            learning_rate=self.learning_rate,
             batch=self.batch,
+            steps=self.steps,
             unrolled=self.unrolled,
             body_weight=self.body_weight,
         )

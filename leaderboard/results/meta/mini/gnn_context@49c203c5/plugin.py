@@ -13,7 +13,7 @@ from torch import Tensor
 from dlobench.bench.model import Model, Setting
 from dlobench.nn import episodes
 from dlobench.nn.context import PushEncoder
-from dlobench.nn.fit import Plan, positive
+from dlobench.nn.fit import positive
 from dlobench.nn.graph import GraphNetwork
 from dlobench.nn.rollout import Rollout, Source, fit, predict
 from dlobench.nn.scenes import Recorded, record
@@ -63,8 +63,8 @@ class GnnContext(Model):
     A conditional neural process (Garnelo et al. 2018) around an interaction network: every push of the support is
     encoded with what it did, the mean of the codes is a context that all nodes see. It learns from tasks, K of which
     is drawn from those it will be asked about and 0. Without support the context is 0. Not in the paper. Shapes:
-    support of K trajectories to (C + 1,), then as `gnn`. Cost: 47,000 parameters; on one core about 25 ms a step of 64
-    single pushes; a support of K = 10 is read in 50 ms.
+    support of K trajectories to (C + 1,), then as `gnn`. Cost: 51,829 parameters; on one core a step of 64 single
+    pushes takes 16 ms, and a support of K = 10 is read in 10 ms.
     """
 
     width: int = 32
@@ -83,11 +83,12 @@ class GnnContext(Model):
 
     def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
         """Learns from tasks of all training domains; keeps the weights that are best on those of validation domains."""
-        positive(self, "steps", "learning_rate", "context", "tasks", "points")
+        positive(self, "context", "tasks", "points")
         how = Rollout(
             width=self.width,
-            plan=Plan(self.steps, self.learning_rate, patience=self.steps, every=250, cosine=True, clip=1.0),
+            learning_rate=self.learning_rate,
             batch=self.batch,
+            steps=self.steps,
             unrolled=self.unrolled,
             body_weight=self.body_weight,
         )
