@@ -4,14 +4,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: help run test lint type unit leaderboard faults validate bench bench-data bench-world bench-step bench-models clean
+.PHONY: help run test lint type unit leaderboard faults validate bench bench-data bench-world bench-step bench-models docs docs-serve clean
 
 help:  ## Show what can be made
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
 
 $(VENV)/installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,dev,card,cluster,figures,page,render,validation]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test,dev,card,cluster,figures,page,render,validation,docs]'
 	touch $@
 
 run: $(VENV)/installed  ## From nothing to a leaderboard row (add options by ARGS="--max-steps 500")
@@ -32,7 +32,8 @@ unit: $(VENV)/installed  ## The tests alone
 leaderboard: $(VENV)/installed  ## Verify the committed records, rebuild board and page, and fail on a difference
 	$(BIN)/dlobench leaderboard verify
 	$(BIN)/dlobench leaderboard build
-	git diff --exit-code --stat -- leaderboard
+	$(BIN)/python leaderboard/top.py
+	git diff --exit-code --stat -- leaderboard README.md
 
 faults: $(VENV)/installed  ## Kills, flipped bytes, full disks, lost nodes: all rounds (2 minutes)
 	DLOBENCH_FAULTS=1 $(BIN)/pytest -m faults --durations=8
@@ -56,5 +57,12 @@ bench-models: $(VENV)/installed  ## A meta step beside a loop over tasks, and pr
 validate: $(VENV)/installed  ## The world beside closed forms and independent codes (up to 10 minutes)
 	$(BIN)/dlobench validate
 
+docs: $(VENV)/installed  ## The documentation site, strictly: open site/index.html (10 seconds)
+	$(BIN)/zensical build --strict --clean
+	cp leaderboard/index.html site/board.html
+
+docs-serve: docs  ## The site at localhost:8000, built again as pages change
+	$(BIN)/zensical serve
+
 clean:  ## Remove the environment and the caches; data and records stay
-	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) build dist site .cache *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

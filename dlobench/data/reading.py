@@ -73,16 +73,6 @@ def load(
 ) -> tuple[pd.DataFrame, Reading]:
     """Loads a part of a set: its domains, a row each, and their trajectories, memory-mapped.
 
-    >>> import numpy as np
-    >>> domains, trajectories = load("meta-learning", "mini", part="train")
-    >>> domains.loc[600, "material"], float(domains.loc[600, "length_m"]), int(domains.loc[600, "trajectories"])
-    ('soft', 0.16, 20)
-    >>> trajectories[600].dlo.shape  # x m, y m, yaw rad; memory-mapped
-    (20, 21, 32, 3)
-    >>> batch = next(trajectories.minibatches(horizon=4).epoch(64, np.random.default_rng(0)))
-    >>> batch.dlo.shape, batch.actions.shape, batch.torch().dlo_after.shape
-    ((64, 32, 3), (64, 4, 2), torch.Size([64, 32, 3]))
-
     Args:
         set: the name of a set, see `dlobench list sets`.
         scale: mini, small or paper.
@@ -92,6 +82,17 @@ def load(
     Raises:
         UsageError: where there is no such set, scale or part.
         RunError: where trajectories are still to be generated; it names the command.
+
+    Examples:
+        >>> import numpy as np
+        >>> domains, trajectories = load("meta-learning", "mini", part="train")
+        >>> domains.loc[600, "material"], float(domains.loc[600, "length_m"]), int(domains.loc[600, "trajectories"])
+        ('soft', 0.16, 20)
+        >>> trajectories[600].dlo.shape  # x m, y m, yaw rad; memory-mapped
+        (20, 21, 32, 3)
+        >>> batch = next(trajectories.minibatches(horizon=4).epoch(64, np.random.default_rng(0)))
+        >>> batch.dlo.shape, batch.actions.shape, batch.torch().dlo_after.shape
+        ((64, 32, 3), (64, 4, 2), torch.Size([64, 32, 3]))
 
     """
     of, chosen = find(set), find_scale(scale)
