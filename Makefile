@@ -1,10 +1,11 @@
 # The developer's verbs. `make run` and `make test` need nothing but Python 3.11 and make.
 PYTHON ?= python3
 VENV := .venv
+PEERS := .peers
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: help run test lint type unit leaderboard faults validate bench bench-data bench-world bench-step bench-models small docs docs-serve clean
+.PHONY: help run test lint type unit leaderboard faults validate bench bench-data bench-world bench-step bench-models peers small docs docs-serve clean
 
 help:  ## Show what can be made
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -54,6 +55,22 @@ bench-step: $(VENV)/installed  ## Step-size error against speed, as a picture
 bench-models: $(VENV)/installed  ## A meta step beside a loop over tasks, and predictions a second
 	$(BIN)/pytest tests/benchmarks/test_models.py --benchmark-enable --benchmark-sort=name
 
+peers: $(PEERS)/installed  ## learn2learn beside our own MAML: the same gradients, and the race (builds .peers by itself)
+	$(PEERS)/bin/python -m pytest tests/test_maml.py tests/test_contract.py -k learn2learn -rA
+	$(PEERS)/bin/python -m pytest tests/benchmarks/test_models.py -k learn2learn --benchmark-enable --benchmark-sort=name
+
+# learn2learn is only to be had as sources, which pip 26 builds with this option and pip 23 does not. All else is borrowed from
+# .venv, so that both sides of the race have one torch.
+$(PEERS)/installed: $(VENV)/installed
+	$(BIN)/python -m venv --clear $(PEERS)
+	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check 'pip==26.*'
+	$(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))' \
+		> $$($(PEERS)/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/borrowed.pth
+	$(PEERS)/bin/python -m pip install --quiet --no-deps learn2learn==0.2.0 --config-settings=--build-option=build_ext
+	$(PEERS)/bin/python -m pip install --quiet --no-deps torchvision==0.28.0 gym==0.26.2 gym-notices==0.1.0 cloudpickle qpth==0.0.18
+	$(PEERS)/bin/python -m pip install --quiet --no-deps --editable .
+	touch $@
+
 small: $(VENV)/installed  ## The board's records at scale small: hours, and it says how many (ARGS="--plan" only says it)
 	$(BIN)/python leaderboard/small.py $(ARGS)
 
@@ -68,4 +85,4 @@ docs-serve: docs  ## The site at localhost:8000, built again as pages change
 	$(BIN)/zensical serve
 
 clean:  ## Remove the environment and the caches; data and records stay
-	rm -rf $(VENV) build dist site .cache *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) $(PEERS) build dist site .cache *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -14,8 +16,9 @@ from toy import error, toy_domains
 
 from dlobench.bench.model import Setting
 from dlobench.errors import RunError, UsageError
-from dlobench.nn import episodes, networks
+from dlobench.nn import episodes, meta, networks
 from dlobench.nn.budget import Log
+from dlobench.nn.inner import Inner, inner_step, meta_loss
 from dlobench.nn.windows import standardise
 
 maml = load("maml")
@@ -63,16 +66,37 @@ def looped_loss(layers: networks.Layers, rates: Tensor, support: Any, query: Any
 def test_batched_meta_gradient_equals_a_loop_over_tasks() -> None:
     layers, rates, support, query = problem()
     learned = [*networks.flat(layers), rates]
-    batched, looped = (f(layers, rates, support, query) for f in (maml.meta_loss, looped_loss))
+    batched, looped = (f(layers, rates, support, query) for f in (meta_loss, looped_loss))
     torch.testing.assert_close(batched, looped, rtol=1e-12, atol=1e-12)
     for ours, theirs in zip(torch.autograd.grad(batched, learned), torch.autograd.grad(looped, learned), strict=True):
         torch.testing.assert_close(ours, theirs, rtol=1e-10, atol=1e-12)
         assert ours.abs().max() > 1e-6
 
 
+@pytest.mark.parametrize("inner", [Inner(1, False, "network"), Inner(3, False, "network"), Inner(2, True, "network")])
+def test_learn2learn_has_the_same_gradients(inner: Inner) -> None:
+    if find_spec("learn2learn") is None:
+        pytest.skip("learn2learn is not installed: make peers")
+    layers, rates, support, query = problem()
+    rates = rates[:1].detach().requires_grad_()
+    learned = [*networks.flat(layers), rates]
+    losses = [f(layers, rates, support, query, inner=inner) for f in (meta_loss, load("maml_learn2learn").looped_loss)]
+    torch.testing.assert_close(*losses, rtol=0, atol=1e-9)
+    for ours, theirs in zip(*(torch.autograd.grad(loss, learned) for loss in losses), strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=0, atol=1e-9)
+        assert ours.abs().max() > 1e-6
+
+
+def test_without_learn2learn_its_model_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "learn2learn", None)
+    domains = toy_domains(2, trajectories=3)
+    with pytest.raises(RunError, match=r"needs learn2learn.*`make peers`"):
+        load("maml_learn2learn").MamlLearn2learn().fit(domains, [], Setting(horizon=2, K=(1,)))
+
+
 def test_meta_gradient_is_of_second_order() -> None:
     layers, rates, support, query = problem()
-    losses = maml.meta_loss(layers, rates, support, query), looped_loss(layers, rates, support, query, order=1)
+    losses = meta_loss(layers, rates, support, query), looped_loss(layers, rates, support, query, order=1)
     torch.testing.assert_close(*losses, rtol=1e-12, atol=1e-12)  # only the gradients tell the orders apart
     for ours, first in zip(*(torch.autograd.grad(loss, networks.flat(layers)) for loss in losses), strict=True):
         assert (ours - first).norm() > 0.01 * ours.norm()
@@ -81,13 +105,13 @@ def test_meta_gradient_is_of_second_order() -> None:
 def test_each_rate_moves_its_own_layer() -> None:
     layers, _, support, _ = problem()
     rates = torch.tensor([0.0, 0.5, 0.0], dtype=torch.float64)
-    adapted = maml.inner_step(layers, rates, support)
+    adapted = inner_step(layers, rates, support)
     for number, ((weight, bias), (new_weight, new_bias)) in enumerate(zip(layers, adapted, strict=True)):
         assert torch.equal(weight.expand_as(new_weight), new_weight) == (number != 1)
         assert torch.equal(bias.expand_as(new_bias), new_bias) == (number != 1)
 
 
-@pytest.mark.parametrize("options", [{}, {"steps": 3}, {"adapts": "head", "steps": 2}])
+@pytest.mark.parametrize("options", [{}, {"inner_steps": 3}, {"adapts": "head", "inner_steps": 2}])
 def test_second_order_gradient_equals_finite_differences(options: dict[str, Any]) -> None:
     layers, rates, support, query = problem()
     layers = [(0.3 * w.detach(), b.detach()) for w, b in layers]
@@ -95,7 +119,7 @@ def test_second_order_gradient_equals_finite_differences(options: dict[str, Any]
     rates = (rates[-1:] if options.get("adapts") == "head" else rates).detach()
     for tensor in learned:
         tensor.requires_grad_()
-    slopes = torch.autograd.grad(maml.meta_loss(layers, rates, support, query, **options), learned)
+    slopes = torch.autograd.grad(meta_loss(layers, rates, support, query, inner=Inner(**options)), learned)
     rng, step = generator(), 1e-6
     with torch.no_grad():
         for tensor, slope in zip(learned, slopes, strict=True):
@@ -103,7 +127,7 @@ def test_second_order_gradient_equals_finite_differences(options: dict[str, Any]
             ends = []
             for sign in (1, -2):
                 tensor.add_(sign * step * way)
-                ends.append(maml.meta_loss(layers, rates, support, query, **options))
+                ends.append(meta_loss(layers, rates, support, query, inner=Inner(**options)))
             tensor.add_(step * way)
             expected = (ends[0] - ends[1]) / (2 * step)
             torch.testing.assert_close((slope * way).sum(), expected, rtol=1e-5, atol=1e-9)
@@ -112,7 +136,7 @@ def test_second_order_gradient_equals_finite_differences(options: dict[str, Any]
 def test_first_order_is_the_gradient_with_constant_inner_slopes() -> None:
     layers, rates, support, query = problem()
     learned = [*networks.flat(layers), rates]
-    ours = torch.autograd.grad(maml.meta_loss(layers, rates, support, query, first_order=True), learned)
+    ours = torch.autograd.grad(meta_loss(layers, rates, support, query, inner=Inner(first_order=True)), learned)
     theirs = torch.autograd.grad(looped_loss(layers, rates, support, query, order=1), learned)
     for a, b in zip(ours, theirs, strict=True):
         torch.testing.assert_close(a, b, rtol=1e-10, atol=1e-12)
@@ -120,37 +144,38 @@ def test_first_order_is_the_gradient_with_constant_inner_slopes() -> None:
 
 def test_several_steps_are_single_steps_repeated() -> None:
     layers, rates, support, _ = problem()
-    at_once = maml.inner_step(layers, rates, support, steps=3)
+    at_once = inner_step(layers, rates, support, inner=Inner(3))
     for task in range(3):
-        alone = [tensor[task : task + 1] for tensor in support]
+        inputs, targets, weight = (tensor[task : task + 1] for tensor in support)
+        alone = inputs, targets, weight
         now = layers
         for _ in range(3):
-            now = [(w[0], b[0]) for w, b in maml.inner_step(now, rates, alone)]
+            now = [(w[0], b[0]) for w, b in inner_step(now, rates, alone)]
         for a, b in zip(networks.flat(at_once), networks.flat(now), strict=True):
             torch.testing.assert_close(a[task], b, rtol=1e-12, atol=1e-12)
 
 
 def test_the_head_alone_adapts_and_the_body_still_learns() -> None:
     layers, rates, support, query = problem()
-    adapted = maml.inner_step(layers, rates[-1:], support, adapts="head")
+    adapted = inner_step(layers, rates[-1:], support, inner=Inner(adapts="head"))
     for old, new in zip(networks.flat(layers[:-1]), networks.flat(adapted[:-1]), strict=True):
         assert torch.equal(old.expand_as(new), new)
-    full = maml.inner_step(layers, rates, support)
+    full = inner_step(layers, rates, support)
     for new, expected in zip(adapted[-1], full[-1], strict=True):
         torch.testing.assert_close(new, expected, rtol=1e-12, atol=1e-12)
-    loss = maml.meta_loss(layers, rates[-1:], support, query, adapts="head")
+    loss = meta_loss(layers, rates[-1:], support, query, inner=Inner(adapts="head"))
     assert all(slope.abs().max() > 1e-6 for slope in torch.autograd.grad(loss, networks.flat(layers)))
 
 
 def test_a_rate_a_weight_scales_each_slope_by_its_own() -> None:
     layers, rates, support, _ = problem()
     each = torch.cat([r.expand(t.numel()) for layer, r in zip(layers, rates, strict=True) for t in layer]).clone()
-    same, by_layer = (maml.inner_step(layers, r, support) for r in (each, rates))
+    same, by_layer = (inner_step(layers, r, support) for r in (each, rates))
     for a, b in zip(networks.flat(same), networks.flat(by_layer), strict=True):
         torch.testing.assert_close(a, b, rtol=1e-12, atol=1e-12)
     each = each.detach()
     each[7] = 0  # input 0, unit 7 of the first layer
-    frozen = maml.inner_step(layers, each, support)[0][0]
+    frozen = inner_step(layers, each, support)[0][0]
     assert torch.equal(frozen[:, 0, 7], layers[0][0][0, 7].expand(3))
     torch.testing.assert_close(frozen[:, 1:], same[0][0][:, 1:])
 
@@ -270,7 +295,7 @@ def test_support_sizes_follow_the_setting(
         drawn.add(K)
         return episodes.draw(windows, domains, K, **how)
 
-    monkeypatch.setattr(maml, "draw", spy)
+    monkeypatch.setattr(meta, "draw", spy)
     model.fit(toy_domains(3, trajectories=6), [], Setting(horizon=2, K=Ks))
     assert drawn == expected
 

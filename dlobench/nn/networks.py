@@ -51,6 +51,32 @@ def weighted_mse(outputs: Tensor, targets: Tensor, weight: Tensor) -> Tensor:
     return (error * (error * weight)).sum((-2, -1)) / error.shape[-2]
 
 
+def gradient(layers: Layers, inputs: Tensor, targets: Tensor, weight: Tensor, *, last: int) -> Layers:
+    """Returns the gradient of the `weighted_mse` of N tasks with respect to the last so many layers, stacked.
+
+    Inputs and targets are (N, B, …); the layers are one network that all tasks share, or a stack. Written out rather
+    than left to autograd, so that a gradient of this gradient takes one pass backwards instead of two.
+    """
+    hidden = [inputs]
+    for w, b in layers[:-1]:
+        hidden.append(leaky_relu(_affine(hidden[-1], w, b), SLOPE))
+    delta = (_affine(hidden[-1], *layers[-1]) - targets) * (weight * (2 / inputs.shape[-2]))
+    found: Layers = []
+    for k in reversed(range(len(layers) - last, len(layers))):
+        found.append((hidden[k].mT @ delta, delta.sum(-2)))
+        if k > len(layers) - last:
+            slope = torch.where(hidden[k].detach() > 0, 1.0, SLOPE)
+            delta = (delta @ layers[k][0].mT) * slope
+    return found[::-1]
+
+
+def _affine(inputs: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+    """Returns inputs (N, B, in) through a layer that all N share, or through each its own."""
+    if weight.dim() == 3:
+        return torch.baddbmm(bias.unsqueeze(-2), inputs, weight)
+    return torch.addmm(bias, inputs.flatten(0, -2), weight).view(*inputs.shape[:-1], -1)
+
+
 def flat(layers: Layers) -> list[Tensor]:
     """Returns weights and biases as one list, layer by layer."""
     return [tensor for layer in layers for tensor in layer]
