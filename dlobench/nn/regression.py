@@ -59,22 +59,24 @@ class Member:
         self.windows, self.scaling = standardise(
             job.train, horizon=horizon, bodies=how.bodies, target=how.target, normalise=how.normalise, device=device
         )
+        self.rows = self.windows.inputs.flatten(0, 1), self.windows.targets.flatten(0, 1)
         self.unseen = self.scaling.windows(job.valid, device) if job.valid else None
         self.generator = torch.Generator().manual_seed(job.seed)
         sizes = [self.windows.inputs.shape[-1], *[how.width] * how.depth, COORDINATES]
         self.layers = initial(sizes, self.generator, device)
         self.course = Course(how.plan_of(len(self.windows)), total, job.log)
 
-    def draw(self, steps: int, batch: int) -> tuple[Tensor, Tensor]:
-        """Returns the windows of the next steps, (steps, batch), and their domains."""
+    def draw(self, steps: int, batch: int) -> list[tuple[Tensor, Tensor]]:
+        """Returns the windows of the next steps, each (batch,), and their domains, each (batch,)."""
         index = torch.randint(len(self.windows), (steps, batch), generator=self.generator)
         index = index.to(self.windows.inputs.device)
-        return index, self.windows.domain[index // self.windows.inputs.shape[1]]
+        domain = self.windows.domain[index // self.windows.inputs.shape[1]]
+        return list(zip(index, domain, strict=True))
 
     def fill(self, index: Tensor, domain: Tensor, inputs: Tensor, targets: Tensor, weight: Tensor) -> None:
         """Copies a batch of windows (batch,) of these domains (batch,) into its place in a stack."""
-        torch.index_select(self.windows.inputs.flatten(0, 1), 0, index, out=inputs)
-        torch.index_select(self.windows.targets.flatten(0, 1), 0, index, out=targets)
+        torch.index_select(self.rows[0], 0, index, out=inputs)
+        torch.index_select(self.rows[1], 0, index, out=targets)
         torch.index_select(self.windows.weight, 0, domain, out=weight)
 
     def report(self, step: int, loss: float, layers: Layers, *, last: bool) -> bool:
@@ -140,8 +142,7 @@ def regress_many(
         if step % REPORT == 0:
             draws = {number: member.draw(REPORT, batch) for number, member in members.items()}
         for slot, (number, member) in enumerate(members.items()):
-            index, domain = (each[step % REPORT] for each in draws[number])
-            member.fill(index, domain, *stack.slots[slot])
+            member.fill(*draws[number][step % REPORT], *stack.slots[slot])
         since += stack.step()
         step += 1
         last, over = share(step) >= 1, list[int]()

@@ -8,6 +8,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 from torch.nn.functional import leaky_relu_
+from torch.optim.adam import adam
 
 from dlobench.nn.networks import SLOPE, Layers, flat
 
@@ -20,17 +21,17 @@ class Stack:
 
     def __init__(self, networks: Sequence[Layers], batch: int, learning_rate: float) -> None:
         weights = [torch.stack(each).detach() for each in zip(*map(flat, networks), strict=True)]
-        self.batch, self.learning_rate = batch, learning_rate
-        self._hold(weights)
+        self.batch, self.learning_rate, self.steps = batch, learning_rate, weights[0].new_zeros(())
+        self._hold(weights, *([torch.zeros_like(each) for each in weights] for _ in range(2)))
 
-    def _hold(self, weights: Sequence[Tensor]) -> None:
-        """Makes all buffers for these weights (M, in, out) and biases (M, out), which it copies."""
+    def _hold(self, weights: Sequence[Tensor], mean: Sequence[Tensor], square: Sequence[Tensor]) -> None:
+        """Makes all buffers for these weights (M, in, out) and biases (M, out), and Adam's moments of them: copies."""
         M, sizes = len(weights[0]), [weights[0].shape[1], *(bias.shape[1] for bias in weights[1::2])]
         self.shapes = [each.shape for each in weights]
-        self.weights = torch.cat([each.flatten() for each in weights])  # one tensor, so that Adam runs over it once
-        self.weights.grad = torch.zeros_like(self.weights)
-        self.optimizer = torch.optim.Adam([self.weights], lr=self.learning_rate, fused=True)
-        self.layers, self.gradients = self._layers(self.weights), self._layers(self.weights.grad)
+        # Each is one tensor, so that Adam runs over it once: weights, the mean of their gradients and that of squares.
+        self.state = [torch.cat([each.flatten() for each in parts]) for parts in (weights, mean, square)]
+        self.gradient = torch.zeros_like(self.state[0])
+        self.layers, self.gradients = self._layers(self.state[0]), self._layers(self.gradient)
         self.values = [weights[0].new_zeros(M, self.batch, size) for size in sizes]  # inputs, hidden layers, outputs
         self.slopes = [torch.zeros_like(each) for each in self.values]  # of the loss with respect to the values
         self.inputs, self.targets = self.values[0], torch.zeros_like(self.values[-1])  # to be filled: (M, batch, …)
@@ -50,7 +51,12 @@ class Stack:
     def step(self) -> Tensor:
         """Takes a step of Adam on the batches that were filled in; returns the loss of each network before it, (M,)."""
         loss = self.backward()
-        self.optimizer.step()
+        weights, mean, square = ([each] for each in self.state)
+        adam(
+            weights, [self.gradient], mean, square, [], [self.steps],
+            lr=self.learning_rate, beta1=0.9, beta2=0.999, eps=1e-8, weight_decay=0.0,
+            amsgrad=False, maximize=False, fused=True,
+        )  # fmt: skip
         return loss
 
     def backward(self) -> Tensor:
@@ -74,12 +80,4 @@ class Stack:
 
     def keep(self, numbers: Sequence[int]) -> None:
         """Drops all networks but these."""
-        moments = self.optimizer.state[self.weights]
-        left = {
-            name: [each[list(numbers)] for each in flat(self._layers(moments[name]))]
-            for name in moments
-            if name != "step"
-        }
-        self._hold([each[list(numbers)] for each in flat(self.layers)])
-        joined = {name: torch.cat([each.flatten() for each in parts]) for name, parts in left.items()}
-        self.optimizer.state[self.weights] = {"step": moments["step"], **joined}
+        self._hold(*([each[list(numbers)] for each in flat(self._layers(joined))] for joined in self.state))
