@@ -52,8 +52,9 @@ bench-world: $(VENV)/installed  ## The world beside MuJoCo's rod, ball joints an
 bench-step: $(VENV)/installed  ## Step-size error against speed, as a picture
 	$(BIN)/python tests/benchmarks/step_size.py docs/pictures/step_size.png
 
-bench-models: $(VENV)/installed  ## A meta step beside a loop over tasks, and predictions a second
-	$(BIN)/pytest tests/benchmarks/test_models.py --benchmark-enable --benchmark-sort=name
+bench-models: $(VENV)/installed  ## Steps of models beside their peers, and predictions a second
+	$(BIN)/pytest tests/benchmarks/test_models.py tests/benchmarks/test_training.py \
+		--benchmark-enable --benchmark-sort=name
 
 peers: $(PEERS)/installed  ## learn2learn beside our own MAML: the same gradients, and the race (builds .peers by itself)
 	$(PEERS)/bin/python -m pytest tests/test_maml.py tests/test_contract.py -k learn2learn -rA

@@ -12,8 +12,9 @@ import torch
 from dlobench.bench.model import Model, Setting
 from dlobench.errors import RunError
 from dlobench.nn.episodes import Batch, draw
-from dlobench.nn.fit import Network, Plan, Regression, positive, regress
+from dlobench.nn.fit import Network, Plan, positive
 from dlobench.nn.networks import Layers, mlp, stacked, weighted_mse
+from dlobench.nn.regression import Regression, regress
 from dlobench.nn.windows import Target, Windows
 from dlobench.trajectories import Prediction, Query, Trajectories
 

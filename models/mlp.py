@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from dlobench.bench.model import Model, Setting
-from dlobench.nn.fit import Network, Plan, Regression, regress
+from dlobench.nn.fit import Network, Plan
+from dlobench.nn.regression import Regression, regress
 from dlobench.nn.windows import Target
 from dlobench.trajectories import Prediction, Query, Trajectories
 

@@ -11,8 +11,9 @@ from torch import Tensor
 from dlobench.bench.model import Model, Setting
 from dlobench.errors import RunError
 from dlobench.nn.execution import root
-from dlobench.nn.fit import CHUNK, Network, Plan, Regression, regress
+from dlobench.nn.fit import CHUNK, Network, Plan
 from dlobench.nn.networks import mlp
+from dlobench.nn.regression import Regression, regress
 from dlobench.nn.windows import Target, Windows
 from dlobench.trajectories import Prediction, Query, Trajectories
 

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from dlobench.bench.model import Model, Setting
-from dlobench.nn.fit import Network, Plan, Regression, regress
+from dlobench.nn.fit import Network, Plan
+from dlobench.nn.regression import Regression, regress
 from dlobench.nn.windows import Target
 from dlobench.trajectories import Prediction, Query, Trajectories
 

@@ -16,7 +16,7 @@ from toy import error, toy_domain, toy_domains
 
 from dlobench.bench.model import Model, Setting
 from dlobench.errors import RunError, UsageError
-from dlobench.nn import fit, networks, windows
+from dlobench.nn import fit, networks, regression, windows
 from dlobench.nn.budget import Budget, Log
 from dlobench.trajectories import Trajectories
 
@@ -133,7 +133,7 @@ def test_what_is_not_normalised_stays_in_si() -> None:
 
 def test_a_plan_by_epochs_validates_once_an_epoch() -> None:
     plan = fit.Plan(1000, 1e-3, 20)
-    how = fit.Regression(width=4, depth=1, bodies=False, target="absolute", batch=10, plan=plan)
+    how = regression.Regression(width=4, depth=1, bodies=False, target="absolute", batch=10, plan=plan)
     assert how.plan_of(105) == plan
     by_epochs = replace(how, epochs=7).plan_of(105)
     assert (by_epochs.every, by_epochs.patience, by_epochs.steps) == (10, 7, 1000)

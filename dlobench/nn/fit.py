@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from dlobench.errors import RunError, UsageError
 from dlobench.nn.budget import Budget, Log
-from dlobench.nn.networks import Layers, detached, flat, initial, mlp, size, weighted_mse
-from dlobench.nn.windows import COORDINATES, Scaling, Target, Windows, standardise
-from dlobench.trajectories import Prediction, Query, Trajectories
+from dlobench.nn.networks import Layers, mlp, size
+from dlobench.nn.windows import Scaling
+from dlobench.trajectories import Prediction, Query
 
 REPORT = 25  # steps between two entries of the learning curve
 WARM = 0.05  # share of a fit in which a cosine rate rises
@@ -44,6 +44,50 @@ class Plan:
         positive(self, "steps", "learning_rate", "patience", "every")
 
 
+class Course:
+    """Follows one fit: reports its losses, keeps its best validated weights, and tells when it is over."""
+
+    def __init__(self, plan: Plan, total: int, log: Log) -> None:
+        self.plan, self.total, self.log = plan, total, log
+        self.first, self.reported = math.nan, 0
+        self.best, self.kept, self.waited = math.inf, list[Tensor](), 0
+
+    def due(self, step: int, *, last: bool) -> bool:
+        """Returns whether to report after this step; not at every step, since reading a loss would stall a GPU."""
+        return last or step == 1 or step % REPORT == 0 or step % self.plan.every == 0
+
+    def report(
+        self,
+        step: int,
+        total_loss: float,
+        weights: Sequence[Tensor],
+        valid_loss: Callable[[], float] | None,
+        last: bool,
+    ) -> bool:
+        """Takes the sum of the losses since the last report, and validates where it is time; returns whether to stop.
+
+        Raises `RunError` when the loss is not finite or has grown a hundredfold.
+        """
+        values = {"loss": total_loss / (step - self.reported)}
+        self.reported, self.first = step, values["loss"] if step == 1 else self.first
+        if not math.isfinite(values["loss"]) or values["loss"] > DIVERGED * self.first:
+            raise RunError(f"diverged at step {step} of {self.total}: loss {values['loss']:g}, at first {self.first:g}")
+        if valid_loss is not None and (last or step % self.plan.every == 0):
+            with torch.no_grad():
+                values["valid"] = valid_loss()
+            self.waited += 1
+            if values["valid"] < self.best:
+                self.best, self.kept, self.waited = values["valid"], [w.detach().clone() for w in weights], 0
+        self.log(step, self.total, **values)
+        return last or self.waited >= self.plan.patience
+
+    def restore(self, weights: Sequence[Tensor]) -> None:
+        """Puts the best of the validated weights back, where there are any."""
+        with torch.no_grad():
+            for weight, value in zip(weights if self.kept else [], self.kept, strict=True):
+                weight.copy_(value)
+
+
 def descend(
     weights: Sequence[Tensor],
     train_loss: Callable[[], Tensor],
@@ -56,45 +100,30 @@ def descend(
     """Takes Adam steps on `weights`, in place, and leaves there the best of those that were validated.
 
     `train_loss` draws its own batch; without `valid_loss` the last weights stay. Raises `RunError` when the loss
-    is not finite or has grown a hundredfold.
+    is not finite or has grown a hundredfold; the best weights are left then, too.
     """
     optimizer = torch.optim.Adam(weights, lr=plan.learning_rate, fused=True)
     total = budget.steps_of(plan.steps)
-    share = budget.progress(total)
-    first, since, reported = math.nan, torch.zeros((), device=weights[0].device), 0
-    best, kept, waited = math.inf, [w.detach().clone() for w in weights], 0
-    for step in range(1, total + 1):
-        if plan.cosine:
-            optimizer.param_groups[0]["lr"] = plan.learning_rate * _cosine(share(step))
-        optimizer.zero_grad()
-        loss = train_loss()
-        loss.backward()  # type: ignore[no-untyped-call]
-        if plan.clip is not None:
-            torch.nn.utils.clip_grad_norm_(weights, plan.clip)
-        optimizer.step()
-        since += loss.detach()
-        last = share(step) >= 1
-        validate = valid_loss is not None and (last or step % plan.every == 0)
-        if step == 1 or step % REPORT == 0 or last or validate:
-            values = {"loss": since.item() / (step - reported)}  # reading the loss at every step would stall a GPU
-            since, reported = since.zero_(), step
-            first = values["loss"] if step == 1 else first
-            if not math.isfinite(values["loss"]) or values["loss"] > DIVERGED * first:
-                raise RunError(f"diverged at step {step} of {total}: loss {values['loss']:g}, at first {first:g}")
-            if validate and valid_loss is not None:
-                with torch.no_grad():
-                    values["valid"] = valid_loss()
-                if values["valid"] < best:
-                    best, kept, waited = values["valid"], [w.detach().clone() for w in weights], 0
-                else:
-                    waited += 1
-            log(step, total, **values)
-        if last or waited >= plan.patience:
-            break
-    if valid_loss is not None and best < math.inf:
-        with torch.no_grad():
-            for weight, value in zip(weights, kept, strict=True):
-                weight.copy_(value)
+    share, course = budget.progress(total), Course(plan, total, log)
+    since = torch.zeros((), device=weights[0].device)
+    try:
+        for step in range(1, total + 1):
+            if plan.cosine:
+                optimizer.param_groups[0]["lr"] = plan.learning_rate * _cosine(share(step))
+            optimizer.zero_grad()
+            loss = train_loss()
+            loss.backward()  # type: ignore[no-untyped-call]
+            if plan.clip is not None:
+                torch.nn.utils.clip_grad_norm_(weights, plan.clip)
+            optimizer.step()
+            since += loss.detach()
+            last = share(step) >= 1
+            if course.due(step, last=last):
+                if course.report(step, since.item(), weights, valid_loss, last):
+                    break
+                since.zero_()
+    finally:
+        course.restore(weights)
 
 
 def _cosine(share: float) -> float:
@@ -119,63 +148,3 @@ class Network:
     def parameters(self) -> int:
         """Returns the number of weights and biases."""
         return size(self.layers)
-
-
-@dataclass(frozen=True)
-class Regression:
-    """Says what to regress: which network on which representation, how fast and for how long."""
-
-    width: int
-    depth: int  # hidden layers
-    bodies: bool  # whether the rigid bodies are features
-    target: Target
-    batch: int  # windows
-    plan: Plan
-    normalise: bool = True
-    epochs: int | None = None  # instead of the plan's patience: validates once an epoch, waits for so many
-
-    def __post_init__(self) -> None:
-        positive(self, "width", "depth", "batch", *(["epochs"] if self.epochs is not None else []))
-
-    def plan_of(self, windows: int) -> Plan:
-        """Returns the plan for a training set of so many windows."""
-        if self.epochs is None:
-            return self.plan
-        return replace(self.plan, every=max(1, windows // self.batch), patience=self.epochs)
-
-
-def regress(
-    how: Regression,
-    train: Sequence[Trajectories],
-    valid: Sequence[Trajectories],
-    *,
-    horizon: int,
-    seed: int,
-    device: str,
-    budget: Budget,
-    log: Log,
-) -> Network:
-    """Fits one network to the windows of all training domains, pooled, and stops on the validation domains.
-
-    Raises `RunError` when there is nothing to learn from, on values that are not finite, or when the fit diverges.
-    """
-    windows, scaling = standardise(
-        train, horizon=horizon, bodies=how.bodies, target=how.target, normalise=how.normalise, device=device
-    )
-    unseen = scaling.windows(valid, device) if valid else None
-    generator = torch.Generator().manual_seed(seed)
-    sizes = [windows.inputs.shape[-1], *[how.width] * how.depth, COORDINATES]
-    layers = initial(sizes, generator, device)
-
-    def train_loss() -> Tensor:
-        index = torch.randint(len(windows), (how.batch,), generator=generator).to(device)
-        inputs, targets, weight = windows.pick(index)
-        return weighted_mse(mlp(layers, inputs), targets, weight)
-
-    def valid_loss(of: Windows) -> float:
-        chunks = [of.pick(slice(i, i + CHUNK)) for i in range(0, len(of), CHUNK)]
-        return sum(float(weighted_mse(mlp(layers, x), y, w)) * len(x) for x, y, w in chunks) / len(of)
-
-    check = None if unseen is None else lambda: valid_loss(unseen)
-    descend(flat(layers), train_loss, check, plan=how.plan_of(len(windows)), budget=budget, log=log)
-    return Network(detached(layers), scaling)

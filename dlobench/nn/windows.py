@@ -166,7 +166,7 @@ def _gather(domains: Sequence[Trajectories], horizon: int, bodies: bool, target:
             targets[rows] = torch.from_numpy(moved).view(-1, *targets.shape[1:])
             if not (inputs[rows].isfinite().all() and targets[rows].isfinite().all()):
                 raise RunError(f"domain {number} of {len(domains)} holds a position or action that is not finite")
-    mask = torch.from_numpy(np.stack([np.repeat(domain.dlo_mask, 2) for domain in domains])).float()
+    mask = torch.from_numpy(np.stack([np.repeat(domain.dlo_mask, 2) for domain in domains])).to(inputs)
     domain_of = torch.arange(len(domains)).repeat_interleave(count)
     return Windows(inputs, targets, exists, mask / mask.sum(1, keepdim=True), domain_of, count)
 
