@@ -17,7 +17,7 @@ $(VENV)/installed: pyproject.toml constraints.txt
 run: $(VENV)/installed  ## From nothing to a leaderboard row (add options by ARGS="--max-steps 500")
 	$(BIN)/dlobench run --task meta --model maml --K 10 $(ARGS)
 
-test: lint type leaderboard unit  ## Lint, types, the committed board and tests
+test: lint type leaderboard docs unit  ## Lint, types, the committed board, the site and tests
 
 lint: $(VENV)/installed  ## Ruff: rules and format
 	$(BIN)/ruff check .

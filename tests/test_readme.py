@@ -1,0 +1,274 @@
+"""Tests that every command and every piece of Python in the README and on the site's pages can be called as it is told.
+
+They are called page by page, from top to bottom, in one folder and on data of random walks: what comes out is not
+judged here, that it ends well is. What takes long is shortened, and how stands in `ADDED` and `INSTEAD`, so that a verb
+or option that is renamed, on either side, fails. Of what other tests call for real, verb and options are parsed here
+(`PARSED`); what no test can call stands in `NOT_HERE`, with the reason. A command that is in none of the lists fails.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import re
+import runpy
+import shlex
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+import typer
+from test_render import drawing  # noqa: F401
+from test_store import write
+
+from dlobench.cli import app, main
+from dlobench.data.sets import SETS
+from dlobench.data.store import Store
+
+ROOT = Path(__file__).parents[1]
+PAGES = [
+    "README.md",
+    *sorted(str(path.relative_to(ROOT)) for path in (ROOT / "docs").glob("*.md")),
+    "leaderboard/SUBMITTING.md",
+    "CONTRIBUTING.md",
+]
+
+STEPS = "--max-steps 2"
+AS_IT_STANDS = {
+    "dlobench check my_model.py",
+    "dlobench check still.py",
+    "dlobench compare maml multitask --task meta",
+    "dlobench compare maml multitask --task meta --metric euclidean",
+    "dlobench compare maml multitask --task meta --results runs",
+    "dlobench compare maml multitask --task meta --results runs --out compare.png",
+    "dlobench data card meta-learning --out card",
+    "dlobench data export meta-learning --original meta_learn",
+    "dlobench data export meta-learning --parquet tables",
+    "dlobench data import --original meta_learn --name owned",
+    "dlobench data repair meta-learning",
+    "dlobench data status",
+    "dlobench data status meta-learning --data here",
+    "dlobench data status meta-learning --data there",
+    "dlobench data verify",
+    "dlobench generate meta-learning",
+    "dlobench generate meta-learning --domains 2 --data here",
+    "dlobench generate meta-learning --domains 21",
+    "dlobench leaderboard build --results runs",
+    "dlobench leaderboard verify --results runs",
+    "dlobench leaderboard verify my_model-*.zip",
+    "dlobench list models",
+    "dlobench list sets",
+    "dlobench new model my_model",
+    "dlobench render --domain meta-learning/2700 --trajectory 0 --out flexible.png",
+    "dlobench render --domain meta-learning/4800 --trajectory 0 --out elastoplastic.png",
+    "dlobench render --domain meta-learning/600 --trajectory 2 --camera oblique --out soft.mp4",
+    "dlobench render --domain meta-learning/600 --trajectory 2 --out rope.gif",
+    "dlobench render --domain meta-learning/600 --trajectory 2 --out rope.png",
+    "dlobench render --domain meta-learning/600 --trajectory 2 --out soft.png",
+    "dlobench run --task held_wires.py --model ridge",
+    "dlobench run --task meta --model my_model.py",
+    "dlobench run --task meta --model persistence",
+    "dlobench run --task meta --model ridge --on owned",
+}
+ONCE = ("check", "leaderboard", "render")  # verbs whose commands are not called again on the next page
+ADDED = {
+    "dlobench generate meta-learning --scale small": "--domains 1",
+    "dlobench run --task horizon_sweep --model mlp": STEPS + " --horizon 1",
+    "dlobench run --task meta --model maml --K 10": STEPS,
+    "dlobench run --task meta --model maml --K 10 --set N=10 --out trials": STEPS,
+    "dlobench run --task meta --model maml --set N=10 --seeds 0-1": STEPS + " --K 0",
+    "dlobench run --task meta --model multitask": STEPS + " --K 0",
+    "dlobench run --task meta --model multitask --K 10": STEPS,
+    "dlobench validate": "--only weight",
+    "dlobench validate --quick": "--only weight",
+}
+INSTEAD = {
+    "dlobench generate meta-learning --scale paper --data /shared/dlobench --executor slurm "
+    "--slurm partition=batch --slurm time=4:00:00 --workers 64 --dry-run": (
+        "dlobench generate meta-learning --scale paper --data shared --executor slurm "
+        "--slurm partition=batch --slurm time=4:00:00 --workers 64 --dry-run"
+    ),
+    "dlobench submit my_model.py --task meta --scale small --seeds 0-4": (
+        "dlobench submit my_model.py --task meta --scale mini --seeds 0-1"
+    ),
+}
+PARSED = {
+    "dlobench list tasks": "test_cli.py",
+    "dlobench data plan meta-learning --scale paper": "test_plan.py",
+    "dlobench generate meta-learning --domains 2 --data there --executor ray --address 127.0.0.1:6379": "test_ray.py",
+    "dlobench run --task horizon_sweep --model mlp --executor ray": "test_ray.py",
+    "dlobench run --task meta --model maml --K 10 --wandb offline": "test_tracking.py",
+}
+NOT_HERE = {
+    ".venv/bin/pre-commit install": "writes into .git",
+    "export RAY_AUTH_MODE=token": "is the shell's",
+    "python examples/read.py": "test_replay.py does it",
+    "python examples/torchrl_rollout.py": "test_replay.py does it",
+    "ray get-auth-token --generate > /dev/null": "writes into the user's home",
+    "ray start --head --port 6379": "leaves processes behind; test_ray.py has its own",
+    "ray stop": "ends every Ray of the user",
+    "source .venv/bin/activate": "is the shell's",
+}
+
+
+class Block(NamedTuple):
+    """Holds a fenced block of a page."""
+
+    language: str
+    title: str  # of the file that it is, if it is one
+    text: str
+
+
+def blocks(page: str) -> list[Block]:
+    """Returns the `sh` and `python` blocks of a page, in their order."""
+    found = re.finditer(
+        r'^( *)```(sh|python)(?: title="(.*?)")?\n(.*?)^\1```$', (ROOT / page).read_text(), re.DOTALL | re.MULTILINE
+    )
+    return [
+        Block(m[2], m[3] or "", "\n".join(line.removeprefix(m[1]) for line in m[4].splitlines()) + "\n") for m in found
+    ]
+
+
+def commands(block: str) -> list[str]:
+    """Returns the commands of a shell block, without comments and line breaks."""
+    lines = (re.sub(r"\s*(^|\s)#.*", "", line) for line in block.replace("\\\n", " ").splitlines())
+    return [" ".join(line.split()) for line in lines if line.strip()]
+
+
+ALL = {command for page in PAGES for b in blocks(page) if b.language == "sh" for command in commands(b.text)}
+
+
+def words(command: str) -> list[str]:
+    """Returns what the shell makes of a command here, stars replaced."""
+    split = shlex.split(command)
+    return [found for word in split for found in (sorted(map(str, Path().glob(word))) if "*" in word else [word])]
+
+
+def options(command: str) -> set[str]:
+    """Returns the options that a command names."""
+    return {word for word in shlex.split(command) if word.startswith("--")}
+
+
+def parsed(command: str) -> None:
+    """Parses a command as the command line does, and calls nothing; raises where a verb or an option is unknown."""
+    _, *words = shlex.split(command)
+    group: Any = typer.main.get_command(app)
+    context = group.make_context("dlobench", words, resilient_parsing=False)
+    while hasattr(group, "commands"):
+        _, group, words = group.resolve_command(context, [*context._protected_args, *context.args])
+        context = group.make_context(group.name, words, parent=context)
+
+
+def dlobench(command: str) -> None:
+    """Calls the command line in this process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", words(command))
+        with pytest.raises(SystemExit) as exit_:
+            main()
+    assert exit_.value.code == 0, command
+
+
+def call(command: str, called: set[str]) -> None:
+    """Calls a command as the lists say; `called` holds what was called before."""
+    if command in called and command.split()[1] in ONCE:
+        return
+    called.add(command)
+    first, *rest = words(command)
+    if first == "make":
+        subprocess.run(["make", "--dry-run", *rest], cwd=ROOT, check=True, capture_output=True)
+    elif first == "pip":
+        (extra,) = re.findall(r"^pip install 'dlobench\[(\w+)\]'$", command)
+        assert extra in (importlib.metadata.metadata("dlobench").get_all("Provides-Extra") or [])
+    elif command in PARSED:
+        parsed(command)
+    elif command not in NOT_HERE:
+        assert command in {*AS_IT_STANDS, *ADDED, *INSTEAD}, f"no test knows `{command}`"
+        dlobench(INSTEAD.get(command, f"{command} {ADDED.get(command, '')}"))
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Returns a data folder of random walks: two sets at scale mini, and a domain at scale small."""
+    store, meta, large = Store(tmp_path_factory.mktemp("data")), SETS["meta-learning"], SETS["single-domain-large"]
+    begun = meta.spans("small")[0].domain  # what `--scale small --domains 1` takes
+    spans = [*meta.spans("mini"), *(span for span in meta.spans("small") if span.domain == begun)]
+    for unit in dict.fromkeys(meta.units(spans)):
+        write(store, meta, unit)
+    for unit in large.units(large.spans("mini")):
+        write(store, large, unit)
+    return store.root
+
+
+@pytest.fixture(scope="module")
+def called() -> set[str]:
+    """Returns what has been called."""
+    return set()
+
+
+@pytest.fixture
+def desk(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Sits down in a folder with committed records, a record of the reader's own, and data."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DLOBENCH_DATA", str(data))
+    for name in ("here", "there"):
+        Path(name).symlink_to(data)
+    results = ROOT / "leaderboard" / "results"
+    Path("leaderboard").mkdir()
+    Path("leaderboard", "results").symlink_to(results)
+    (record,) = results.glob("meta/mini/persistence@*")
+    shutil.copytree(record, tmp_path / "runs" / "meta" / "mini" / record.name)
+    return tmp_path
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_what_a_page_tells_can_be_done(page: str, desk: Path, called: set[str], request: pytest.FixtureRequest) -> None:
+    told: dict[str, Any] = {}
+    for block in blocks(page):
+        if block.title:
+            (desk / block.title).write_text(block.text)
+        elif block.language == "python":
+            exec(block.text, told)  # noqa: S102  # our own text
+        for command in commands(block.text) if block.language == "sh" else ():
+            if command.startswith("dlobench render"):
+                request.getfixturevalue("drawing")
+            call(command, called)
+
+
+def test_what_is_shortened_is_the_same_command() -> None:
+    for command, shorter in INSTEAD.items():
+        assert command.split()[:2] == shorter.split()[:2]
+        assert options(command) <= options(shorter), command
+
+
+def test_no_list_holds_what_no_page_has() -> None:
+    lists = (AS_IT_STANDS, ADDED, INSTEAD, PARSED, NOT_HERE)
+    assert set().union(*lists) <= ALL
+    assert len(set().union(*lists)) == sum(map(len, lists)), "each command is in one list"
+
+
+@pytest.mark.parametrize("command", ["dlobench dance", "dlobench run --task meta --model maml --K 10 --max-step 5"])
+def test_a_command_that_no_list_has_fails(command: str) -> None:
+    with pytest.raises(AssertionError, match="no test knows"):
+        call(command, set())
+
+
+@pytest.mark.parametrize("command", ["dlobench dance", "dlobench run --moon 1", "dlobench data plan --moon"])
+def test_what_the_command_line_does_not_have_is_not_parsed(command: str) -> None:
+    with pytest.raises(Exception, match="No such"):
+        parsed(command)
+
+
+def test_every_page_is_in_the_navigation() -> None:
+    navigation = tomllib.loads((ROOT / "zensical.toml").read_text())["project"]["nav"]
+    pages = {str(path.relative_to(ROOT / "docs")) for path in (ROOT / "docs").rglob("*.md")}
+    assert set(re.findall(r"[\w/.-]+\.md", str(navigation))) == pages
+
+
+def test_the_boards_top_is_up_to_date() -> None:
+    top = runpy.run_path(str(ROOT / "leaderboard" / "top.py"))
+    readme = (ROOT / "README.md").read_text()
+    assert top["written"](readme, ROOT / "leaderboard" / "leaderboard.csv") == readme, "python leaderboard/top.py"
+    assert readme.count("\n| 1 | `") == 1
