@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: help run test lint type unit leaderboard faults validate bench bench-data bench-world bench-step bench-models docs docs-serve clean
+.PHONY: help run test lint type unit leaderboard faults validate bench bench-data bench-world bench-step bench-models small docs docs-serve clean
 
 help:  ## Show what can be made
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -53,6 +53,9 @@ bench-step: $(VENV)/installed  ## Step-size error against speed, as a picture
 
 bench-models: $(VENV)/installed  ## A meta step beside a loop over tasks, and predictions a second
 	$(BIN)/pytest tests/benchmarks/test_models.py --benchmark-enable --benchmark-sort=name
+
+small: $(VENV)/installed  ## The board's records at scale small: hours, and it says how many (ARGS="--plan" only says it)
+	$(BIN)/python leaderboard/small.py $(ARGS)
 
 validate: $(VENV)/installed  ## The world beside closed forms and independent codes (up to 10 minutes)
 	$(BIN)/dlobench validate

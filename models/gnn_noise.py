@@ -10,14 +10,10 @@ import torch
 from torch import Tensor
 
 from dlobench.bench.model import Model, Setting
+from dlobench.nn.execution import noise_root, travelled
 from dlobench.nn.graph import GraphNetwork
 from dlobench.nn.rollout import Rollout, fit, predict
 from dlobench.trajectories import Prediction, Query, Trajectories
-
-
-def travelled(trajectories: Trajectories) -> Trajectories:
-    """Returns trajectories whose actions are where the pusher really went, be they commands or what was executed."""
-    return replace(trajectories, executed=np.diff(trajectories.pusher, axis=1))
 
 
 @dataclass
@@ -61,9 +57,7 @@ class GnnNoise(Model):
             budget=setting.budget,
             log=setting.log,
         )
-        missed = np.concatenate([(travelled(d).executed - d.executed).reshape(-1, 2) for d in train], dtype=np.float64)
-        values, vectors = np.linalg.eigh(missed.T @ missed / len(missed))
-        self.factor = torch.from_numpy((vectors * np.sqrt(values.clip(0))).astype(np.float32))
+        self.factor = noise_root(train)
 
     def predict(self, query: Query, samples: int) -> Prediction:
         """Returns the segments (S, B, 32, 2) and the bodies (S, B, 3, 3)."""

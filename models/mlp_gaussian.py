@@ -10,6 +10,7 @@ from torch import Tensor
 
 from dlobench.bench.model import Model, Setting
 from dlobench.errors import RunError
+from dlobench.nn.execution import root
 from dlobench.nn.fit import CHUNK, Network, Plan, Regression, regress
 from dlobench.nn.networks import mlp
 from dlobench.nn.windows import Target, Windows
@@ -69,9 +70,7 @@ class MlpGaussian(Model):
             there = (weight > 0).double()
             missed = (targets - mlp(self.network.layers, inputs)).double() * there
             square, count = square + missed.T @ missed, count + there.T @ there
-        values, vectors = torch.linalg.eigh(square / count.clamp_min(1))
-        root: Tensor = vectors * values.clamp_min(0).sqrt()
-        return root.float()
+        return root(square / count.clamp_min(1))
 
     def predict(self, query: Query, samples: int) -> Prediction:
         """Returns the segments (S, B, 32, 2)."""

@@ -14,10 +14,12 @@ from toy import toy_domains
 from dlobench.bench.model import Setting
 from dlobench.bench.questions import commanded
 from dlobench.errors import RunError
-from dlobench.nn.budget import Budget
+from dlobench.nn.budget import Budget, Log
+from dlobench.nn.fit import Plan, descend
+from dlobench.nn.missed import NUMBERS, Missed, Residual, divided
 from dlobench.trajectories import Trajectories
 
-gaussian, noisy = load("mlp_gaussian"), load("gnn_noise")
+gaussian, noisy, flow, cvae = load("mlp_gaussian"), load("gnn_noise"), load("flow"), load("cvae")
 SETTING = Setting(horizon=2, K=(0,), budget=Budget(steps=30))
 S = 400
 
@@ -78,7 +80,7 @@ def test_samples_are_alike_where_what_is_executed_is_known(domains: list[Traject
     np.testing.assert_allclose(samples, samples[:1].repeat(4, 0), atol=1e-7)
 
 
-@pytest.mark.parametrize("of", [gaussian.MlpGaussian, noisy.GnnNoise])
+@pytest.mark.parametrize("of", [gaussian.MlpGaussian, noisy.GnnNoise, flow.Flow, cvae.Cvae])
 def test_samples_are_the_same_each_time_and_depend_on_no_other_query(of: Any, domains: list[Trajectories]) -> None:
     model = fitted(of, domains[:2], domains[2:])
     query, _ = domains[2].windows(2)
@@ -88,3 +90,79 @@ def test_samples_are_the_same_each_time_and_depend_on_no_other_query(of: Any, do
     order = np.random.default_rng(0).permutation(len(query))
     np.testing.assert_allclose(model.predict(query.take(order), 7).dlo, once[:, order], atol=1e-6)
     assert not once[:, :, ~query.dlo_mask].any()
+
+
+def learned(residual: Residual, of: Missed, *, steps: int) -> Residual:
+    generator = torch.Generator().manual_seed(0)
+
+    def loss() -> torch.Tensor:
+        index = torch.randint(len(of.shape), (128,), generator=generator)
+        return residual.loss(Missed(of.hidden[index], of.exists[index], of.shape[index]), generator)
+
+    plan = Plan(steps, 3e-3, patience=steps, cosine=True, clip=1.0)
+    descend(list(residual.parameters()), loss, None, plan=plan, budget=Budget(), log=Log())
+    return residual
+
+
+@pytest.mark.parametrize(
+    "make", [lambda of: flow.Velocity(of, 32, 8), lambda of: cvae.Autoencoder(of, 32, 2)], ids=["flow", "cvae"]
+)
+def test_whole_shapes_of_two_kinds_are_drawn_not_their_mean(make: Any) -> None:
+    """A DLO snaps to one side or the other, more often to the one that the state tells."""
+    generator = torch.Generator().manual_seed(1)
+    P, N = 4000, 8
+    hidden = torch.randn(P, 1, 3, generator=generator).sign().expand(P, N, 3)
+    chance = torch.where(hidden[:, 0, 0] > 0, 0.8, 0.2)
+    side = torch.where(torch.rand(P, generator=generator) < chance, 1.0, -1.0)
+    shape = side[:, None, None] * torch.ones(P, N, 2) + 0.1 * torch.randn(P, N, 2, generator=generator)
+    torch.manual_seed(0)
+    model = learned(
+        make(Missed(hidden, torch.ones(P, N, 1), shape)), Missed(hidden, torch.ones(P, N, 1), shape), steps=500
+    )
+    for told, share in ((1.0, 0.8), (-1.0, 0.2)):
+        noise = torch.randn(600, model.numbers, generator=generator)
+        with torch.no_grad():
+            drawn = model.draw(torch.full((600, N, 3), told), torch.ones(600, N, 1), noise).mean(-1)
+        whole = (drawn > 0).all(1) | (drawn < 0).all(1)
+        assert whole.float().mean() > 0.9, "all segments go to the same side"
+        assert float((drawn.mean(1) > 0).float().mean()) == pytest.approx(share, abs=0.12)
+        assert float(drawn.abs().mean()) == pytest.approx(1.0, abs=0.15)
+
+
+def test_noise_of_the_flow_is_spread_as_what_is_missed_of_shorter_shapes_too() -> None:
+    generator = torch.Generator().manual_seed(1)
+    exists = torch.ones(3000, 32, 1)
+    exists[::2, 20:] = 0  # every other DLO has 20 segments
+    along = torch.linspace(0.5, 2, 32)[:, None]
+    shape = torch.randn(3000, 1, 1, generator=generator) * along * exists
+    model = flow.Velocity(Missed(torch.zeros(3000, 32, 3), exists, shape.expand(-1, -1, 2)), 8, 2)
+    begun = model.begin(torch.randn(4000, NUMBERS, generator=generator), torch.zeros(4000, 20, 2))
+    np.testing.assert_allclose(begun.std(0)[:, 0], along[:20, 0], rtol=0.1)
+
+
+def test_what_is_held_back_is_not_learned_from(domains: list[Trajectories]) -> None:
+    kept, held = divided(domains)
+    for domain, part, other in zip(domains, kept, held, strict=True):
+        assert len(other) == len(domain) // 5
+        both = np.concatenate([part.dlo, other.dlo])
+        assert len(np.unique(both.reshape(len(both), -1), axis=0)) == len(domain)
+    (one,), (again,) = divided([domains[0].take(np.arange(1))])
+    assert len(one) == len(again) == 1
+
+
+@pytest.mark.parametrize("of", [flow.Flow, cvae.Cvae])
+def test_samples_turn_with_the_push(of: Any, domains: list[Trajectories]) -> None:
+    """A quarter turn of the world is the same world, where commands are executed exactly (their noise has axes)."""
+    model = fitted(of, domains[:2], domains[2:])
+    query, _ = domains[2].windows(2)
+    few = query.take(np.arange(4))
+
+    def turned(vectors: Any) -> Any:
+        return np.stack([-vectors[..., 1], vectors[..., 0]], -1)
+
+    dlo, bodies = few.dlo.copy(), few.bodies.copy()
+    dlo[..., :2], bodies[..., :2] = turned(few.dlo[..., :2]), turned(few.bodies[..., :2])
+    bodies[..., 2] += np.float32(np.pi / 2)
+    other = replace(few, dlo=dlo, bodies=bodies, pusher=turned(few.pusher), actions=turned(few.actions))
+    expected = turned(model.predict(few, 4).dlo)
+    np.testing.assert_allclose(model.predict(other, 4).dlo, expected, atol=2e-5)

@@ -63,25 +63,32 @@ class GraphNetwork(nn.Module):
 
     def forward(self, scene: Scene, action: Tensor, context: Tensor | None = None, *, mirror: bool = False) -> Scene:
         """Returns the scene after an action (B, 2); `mirror` looks at it in a mirror, which is as good a sight."""
+        return self.sight(scene, action, context, mirror=mirror)[0]
+
+    def sight(
+        self, scene: Scene, action: Tensor, context: Tensor | None = None, *, mirror: bool = False
+    ) -> tuple[Scene, Tensor]:
+        """Returns the scene after an action, and what the network makes of each segment of it, (B, N, width)."""
         angle = torch.atan2(action[:, 1], action[:, 0])
         local = local_frame(scene, action, scene.pusher, mirror=mirror)
         length = action.norm(dim=-1, keepdim=True)
         known = scene_features(local, length)
         if context is not None:
             known = torch.cat([known, context], -1)
-        dlo, bodies = self._moves(local, length, known)
+        dlo, bodies, hidden = self._moves(local, length, known)
         if mirror:
             dlo, bodies = dlo * dlo.new_tensor([1.0, -1.0]), bodies * bodies.new_tensor([1.0, -1.0, -1.0])
         turned = torch.cat([rotated(bodies[..., :2], angle[:, None]), bodies[..., 2:]], -1)
-        return replace(
+        after = replace(
             scene,
             dlo=scene.dlo + rotated(dlo, angle[:, None]) * scene.exists[..., None],
             pusher=scene.pusher + action,
             bodies=scene.bodies + turned * scene.present[..., None],
         )
+        return after, hidden
 
-    def _moves(self, local: Scene, length: Tensor, known: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns displacements of segments (B, N, 2), and of bodies (B, M, 3), in the frame of the push."""
+    def _moves(self, local: Scene, length: Tensor, known: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Returns displacements of segments (B, N, 2) and bodies (B, M, 3) in the frame of the push, and features."""
         exists = local.exists[..., None]
         share = exists / exists.sum(1, keepdim=True)
         h = self.segment(_joined(segment_features(local, length), known)) * exists
@@ -100,8 +107,8 @@ class GraphNetwork(nn.Module):
             h = h + self.rounds[k](torch.cat([g, *heard, from_bodies, whole.expand_as(g)], -1)) * exists
         moves = self.move(h) * self.scale
         if not bodies:
-            return moves, local.bodies
-        return moves, self.turn(b) * self.scale * moves.new_tensor([1.0, 1.0, 1.0 / LEVER])
+            return moves, local.bodies, h
+        return moves, self.turn(b) * self.scale * moves.new_tensor([1.0, 1.0, 1.0 / LEVER]), h
 
 
 def _joined(rows: Tensor, known: Tensor) -> Tensor:

@@ -1,0 +1,144 @@
+"""Makes the records of the board at scale `small`, a run on every core, and goes on where it was stopped.
+
+Without options it runs what is missing; `--plan` only tells what that is and how long it takes; `--task meta` does one
+task; `--table` writes docs/runs.md. A record in `leaderboard/results` is not made again, whichever code made it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from dlobench.bench.plugins import hyperparameters, load_model, load_task
+from dlobench.bench.results import read_all
+
+RESULTS = Path(__file__).parent / "results"
+PAGE = Path(__file__).parent.parent / "docs" / "runs.md"
+BEGIN, END = "<!-- plan -->\n", "<!-- end of plan -->\n"
+SCORING = 0.15  # of the time of a fit, at most, goes to loading and scoring
+
+
+@dataclass(frozen=True)
+class Run:
+    """Names a run of `dlobench run`: a task, a model, its seeds, hyperparameters, and minutes a fit may take."""
+
+    task: str
+    model: str
+    seeds: Sequence[int] = (0, 1, 2)
+    settings: dict[str, Any] = field(default_factory=dict)
+    minutes: float | None = None  # None: the model stops by its own patience
+    expected: float = 0.5  # minutes that a fit takes where nothing limits it
+
+
+ADAPTING = ("finetune", "maml", "neural_process", "gnn_context")
+FLOORS = ("persistence", "ridge")
+PLAN = (
+    *(Run("meta", model, seeds=(0,), expected=0.1) for model in FLOORS),
+    *(Run("meta", model, expected=3) for model in ("multitask", "mlp", "gnn", *ADAPTING)),
+    Run("meta", "oracle_parameters", seeds=(0,), expected=3),
+    *(Run("horizon_sweep", model, seeds=(0,), expected=0.05) for model in FLOORS),
+    *(Run("horizon_sweep", model, seeds=(0,), minutes=0.5) for model in ("mlp", "gnn")),
+    Run("horizon_sweep", "mlp", seeds=(0,), settings={"target": "absolute"}, minutes=0.5),
+    *(Run("length_sweep", model, seeds=(0,), minutes=0.5) for model in ("ridge", "mlp", "gnn")),
+    *(Run("meta_noisy", model, expected=3) for model in ("multitask", *ADAPTING)),
+    *(Run("meta_objects", model, seeds=(0,), expected=5) for model in ("multitask", "gnn", *ADAPTING)),
+    *(Run("ood", model, seeds=(0,), minutes=3) for model in ("multitask", "maml", "gnn", "gnn_context")),
+    *(Run("rollout", model, seeds=(0,), minutes=1) for model in ("mlp", "gnn")),
+    *(Run("distribution", model, seeds=(0,), minutes=1) for model in ("mlp_gaussian", "gnn_noise", "flow", "cvae")),
+)
+
+
+def fits(task: str) -> int:
+    """Returns how many fits a run of a task takes at scale small."""
+    return len(load_task(task).fits("small"))
+
+
+def pending(plan: Sequence[Run]) -> Iterator[tuple[Run, int]]:
+    """Yields the runs and seeds of which no record stands in the results."""
+    there = [
+        (r.task, r.model, r.seed, r.provenance.hyperparameters, r.provenance.budget["minutes"])
+        for r in (read_all(RESULTS) if RESULTS.exists() else [])
+        if r.scale == "small" and not r.failures
+    ]
+    for run in plan:
+        hyper = hyperparameters(load_model(run.model).model) | run.settings
+        for seed in run.seeds:
+            if (run.task, run.model, seed, hyper, run.minutes) not in there:
+                yield run, seed
+
+
+def hours(run: Run) -> float:
+    """Returns the core-hours that one seed of a run is expected to take."""
+    return fits(run.task) * (run.minutes or run.expected) * (1 + SCORING) / 60
+
+
+def table(plan: Sequence[Run]) -> str:
+    """Returns which model runs on which task, as Markdown: seeds, minutes a fit, core-hours."""
+    rows = ["| task | model | seeds | a fit stops after | fits a seed | core-hours |", "| --- " * 6 + "|"]
+    for run in plan:
+        model = f"`{run.model}`" + "".join(f", `{name}={value}`" for name, value in run.settings.items())
+        limit = "its own patience" if run.minutes is None else f"{run.minutes:g} minutes"
+        cost = hours(run) * len(run.seeds)
+        rows.append(f"| `{run.task}` | {model} | {len(run.seeds)} | {limit} | {fits(run.task)} | {cost:.2f} |")
+    return "\n".join(rows) + "\n"
+
+
+def written(page: str) -> str:
+    """Returns docs/runs.md with the table of the plan between its two marks."""
+    before, _, rest = page.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    return before + BEGIN + table(PLAN) + END + after
+
+
+def command(run: Run, seed: int) -> list[str]:
+    """Returns the command line of one seed."""
+    settings = [part for name, value in run.settings.items() for part in ("--set", f"{name}={value}")]
+    limit = [] if run.minutes is None else ["--max-minutes", f"{run.minutes:g}"]
+    what = ["--task", run.task, "--scale", "small", "--model", run.model, "--seed", str(seed)]
+    return [str(Path(sys.executable).with_name("dlobench")), "run", *what, *settings, *limit, "--out", str(RESULTS)]
+
+
+def make(run: Run, seed: int) -> bool:
+    """Runs one command, its output into a log beside the records, and tells whether it made its record."""
+    name = f"{run.task}-{run.model}-{seed}"
+    log = RESULTS.parent / "logs" / f"{name}.log"
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with log.open("w") as out:
+        done = subprocess.run(command(run, seed), stdout=out, stderr=subprocess.STDOUT, check=False).returncode == 0
+    print(f"{name}: {'recorded' if done else f'failed, see {log}'}", flush=True)
+    return done
+
+
+def main() -> int:
+    """Tells what will run and how long it takes, then runs it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--plan", action="store_true", help="only tell what would run")
+    parser.add_argument("--table", action="store_true", help="write the table into docs/runs.md")
+    parser.add_argument("--task", choices=sorted({run.task for run in PLAN}), help="one task alone")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="runs at a time; default: one a core")
+    chosen = parser.parse_args()
+    plan = [run for run in PLAN if chosen.task in (None, run.task)]
+    if chosen.table:
+        PAGE.write_text(written(PAGE.read_text()))
+        return 0
+    wanted = list(pending(plan))
+    for run, seed in wanted:
+        print(f"{run.task:14} {run.model:18} seed {seed}  {60 * hours(run):6.0f} min")
+    total = sum(hours(run) for run, _ in wanted)
+    print(f"{len(wanted)} runs are missing: {total:.1f} core-hours, about {total / max(1, chosen.jobs):.1f} hours here")
+    if chosen.plan:
+        return 0
+    with ThreadPoolExecutor(max(1, chosen.jobs)) as pool:
+        done = list(pool.map(lambda one: make(*one), wanted))
+    return 0 if all(done) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
