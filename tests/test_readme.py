@@ -266,7 +266,9 @@ def test_what_the_command_line_does_not_have_is_not_parsed(command: str) -> None
 def test_every_page_is_in_the_navigation() -> None:
     navigation = tomllib.loads((ROOT / "zensical.toml").read_text())["project"]["nav"]
     pages = {str(path.relative_to(ROOT / "docs")) for path in (ROOT / "docs").rglob("*.md")}
-    assert set(re.findall(r"[\w/.-]+\.md", str(navigation))) >= pages  # that it holds no more than there are, `make docs` sees to
+    assert (
+        set(re.findall(r"[\w/.-]+\.md", str(navigation))) >= pages
+    )  # that it holds no more than there are, `make docs` sees to
 
 
 def test_the_boards_top_is_up_to_date() -> None:
