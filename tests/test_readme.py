@@ -219,8 +219,8 @@ def desk(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     results = ROOT / "leaderboard" / "results"
     Path("leaderboard").mkdir()
     Path("leaderboard", "results").symlink_to(results)
-    (record,) = results.glob("meta/mini/persistence@*")
-    shutil.copytree(record, tmp_path / "runs" / "meta" / "mini" / record.name)
+    record = min(results.glob("meta/*/persistence@*"))
+    shutil.copytree(record, tmp_path / "runs" / record.relative_to(results))
     return tmp_path
 
 
