@@ -278,6 +278,12 @@ def test_every_page_is_in_the_navigation() -> None:
     )  # that it holds no more than there are, `make docs` sees to
 
 
+def test_the_readme_links_to_what_is_there() -> None:
+    links = re.findall(r'(?:\]\(|src=")([^):"]+)[)"]', (ROOT / "README.md").read_text())
+    assert len(links) > 10
+    assert not [link for link in links if not (ROOT / link).exists()]
+
+
 def test_the_boards_top_is_up_to_date() -> None:
     top = runpy.run_path(str(ROOT / "leaderboard" / "top.py"))
     readme = (ROOT / "README.md").read_text()
