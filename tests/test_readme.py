@@ -78,7 +78,7 @@ ADDED = {
     "dlobench run --task horizon_sweep --model mlp": STEPS + " --horizon 1",
     "dlobench run --task meta --model maml --K 10": STEPS,
     "dlobench run --task meta --model maml --K 10 --set N=10 --out trials": STEPS,
-    "dlobench run --task meta --model multitask": STEPS,
+    "dlobench run --task meta --model multitask": STEPS + " --K 10",
     "dlobench validate": "--only weight",
     "dlobench validate --quick": "--only weight",
 }
@@ -105,6 +105,7 @@ MAKES_RUN = "dlobench run --task meta --model maml --K 10"  # what `make run` ca
 NOT_HERE = {
     ".venv/bin/pre-commit install": "writes into .git",
     "export RAY_AUTH_MODE=token": "is the shell's",
+    "make figures": "comes with paper_figures/",
     "ray get-auth-token --generate > /dev/null": "writes into the user's home",
     "ray start --head --port 6379": "leaves processes behind; test_ray.py has its own",
     "ray stop": "ends every Ray of the user",
@@ -175,6 +176,8 @@ def call(command: str, called: set[str]) -> None:
         return
     called.add(command)
     first, *rest = words(command)
+    if command in NOT_HERE:
+        return
     if first == "make":
         made = subprocess.run(["make", "--dry-run", *rest], cwd=ROOT, check=True, capture_output=True, text=True)
         if rest == ["run"]:
@@ -188,7 +191,7 @@ def call(command: str, called: set[str]) -> None:
         assert extra in (importlib.metadata.metadata("dlobench").get_all("Provides-Extra") or [])
     elif command in PARSED:
         parsed(command)
-    elif command not in NOT_HERE:
+    else:
         assert command in {*AS_IT_STANDS, *ADDED, *INSTEAD}, f"no test knows `{command}`"
         dlobench(INSTEAD.get(command, f"{command} {ADDED.get(command, '')}"))
 
@@ -241,7 +244,11 @@ def test_what_a_page_tells_can_be_done(page: str, desk: Desk, request: pytest.Fi
             exec(block.text, told)  # noqa: S102  # our own text
         for command in commands(block.text) if block.language == "sh" else ():
             if command.startswith("dlobench render"):
-                request.getfixturevalue("drawing")
+                try:
+                    request.getfixturevalue("drawing")
+                except pytest.skip.Exception:  # test_render.py says what is missing
+                    parsed(command)
+                    continue
             call(command, desk.called)
 
 
