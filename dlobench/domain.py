@@ -6,7 +6,7 @@ A `Domain` is what a model never sees. Everything here is SI: metres, kilograms,
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -72,18 +72,6 @@ def _set(frozen: object, **values: object) -> None:
         object.__setattr__(frozen, name, value)
 
 
-def _fields(what: str, cls: type, given: object) -> dict[str, Any]:
-    """Returns the fields of a JSON object; raises `UsageError` unless they are just those of the dataclass `cls`."""
-    names = [field.name for field in fields(cls)]
-    if not isinstance(given, dict):
-        raise UsageError(f"not a {what}: {ranges.shown(given)} has no fields, which are {', '.join(names)}")
-    for problem, wrong in (("missing", set(names) - set(given)), ("unknown", set(given) - set(names))):
-        if wrong:
-            found = ", ".join(sorted(map(ranges.shown, wrong))[:3])
-            raise UsageError(f"not a {what}: {problem} {found}; the fields are {', '.join(names)}")
-    return given
-
-
 @dataclass(frozen=True)
 class RigidBody:
     """Describes one composite body of boxes (paper, section 2.2 and Fig. 5).
@@ -99,9 +87,8 @@ class RigidBody:
         ranges.choice("shape", self.shape, tuple(SHAPES))
         boxes = len(SHAPES[self.shape])
         if not isinstance(self.densities, tuple | list):
-            raise UsageError(
-                f"densities = {ranges.shown(self.densities)} is not one number a box, {boxes} for {self.shape!r}"
-            )
+            given = ranges.shown(self.densities)
+            raise UsageError(f"densities = {given} is not one number a box, {boxes} for {self.shape!r}")
         if len(self.densities) != boxes:
             raise UsageError(f"densities holds {len(self.densities)} values, shape {self.shape!r} has {boxes} boxes")
         densities = tuple(ranges.number("box density", density, *BOX_DENSITY, "kg/m³") for density in self.densities)
@@ -122,6 +109,15 @@ class Domain:
     """Describes the physical parameters of one world (paper, section 2.2).
 
     Raises `UsageError`, naming field, value and range, for anything outside the documented ranges.
+
+    Examples:
+        >>> rope = typical(material="soft", attachment="none", length=0.10, rigid_objects=0)
+        >>> rope.segments, rope.surface_friction, rope.yield_curvature
+        (20, 0.5, None)
+        >>> Domain.from_json({**rope.to_json(), "density": 100.0})
+        Traceback (most recent call last):
+        dlobench.errors.UsageError: density = 100.0 is outside 700–1400 kg/m³
+
     """
 
     surface_friction: float
@@ -140,9 +136,8 @@ class Domain:
             given = ranges.shown(self.yield_curvature)
             raise UsageError(f"yield_curvature = {given} does not go with material {self.material!r}")
         if not isinstance(self.bodies, tuple | list) or not all(isinstance(body, RigidBody) for body in self.bodies):
-            raise UsageError(
-                f"bodies = {ranges.shown(self.bodies)} is not a tuple of rigid bodies, at most {MAX_BODIES}"
-            )
+            given = ranges.shown(self.bodies)
+            raise UsageError(f"bodies = {given} is not a tuple of rigid bodies, at most {MAX_BODIES}")
         if len(self.bodies) > MAX_BODIES:
             raise UsageError(f"bodies holds {len(self.bodies)} rigid bodies, at most {MAX_BODIES} are possible")
         bending = f"bending_stiffness of {self.material}"
@@ -170,10 +165,10 @@ class Domain:
     @staticmethod
     def from_json(given: object) -> Domain:
         """Builds a domain from what `to_json` wrote; raises `UsageError` on a missing, unknown or bad field."""
-        values = _fields("domain", Domain, given)
+        values = ranges.members("domain", Domain, given)
         bodies = values["bodies"]
         if isinstance(bodies, list):
-            bodies = [RigidBody(**_fields("rigid body", RigidBody, body)) for body in bodies]
+            bodies = [RigidBody(**ranges.members("rigid body", RigidBody, body)) for body in bodies]
         return Domain(**{**values, "bodies": bodies})
 
 
@@ -222,6 +217,13 @@ def sample(
     """Samples the parameters that a cell leaves open: uniformly, stiffness and yield curvature log-uniformly.
 
     `length` is in m. Raises `UsageError` for a cell outside the documented ranges.
+
+    Examples:
+        >>> cell = {"material": "flexible", "attachment": "fixed", "length": 0.16, "rigid_objects": 2}
+        >>> one, other = (sample(np.random.default_rng(seed), **cell) for seed in (0, 1))
+        >>> one.attachment == other.attachment, one.density == other.density, len(one.bodies)
+        (True, False, 2)
+
     """
     ranges.choice("material", material, MATERIALS)
     ranges.choice("attachment", attachment, ATTACHMENTS)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import reprlib
 from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
 
@@ -54,3 +56,15 @@ def choice(field: str, value: object, choices: tuple[str, ...]) -> None:
     """Raises `UsageError` unless the value is one of the choices."""
     if not isinstance(value, str) or value not in choices:
         raise UsageError(f"{field} = {shown(value)} is not one of {', '.join(choices)}")
+
+
+def members(what: str, cls: type, given: object) -> dict[str, Any]:
+    """Returns the fields of a JSON object; raises `UsageError` unless they are just those of the dataclass `cls`."""
+    names = [field.name for field in fields(cls)]
+    if not isinstance(given, dict):
+        raise UsageError(f"not a {what}: {shown(given)} has no fields, which are {', '.join(names)}")
+    for problem, wrong in (("missing", set(names) - set(given)), ("unknown", set(given) - set(names))):
+        if wrong:
+            found = ", ".join(sorted(map(shown, wrong))[:3])
+            raise UsageError(f"not a {what}: {problem} {found}; the fields are {', '.join(names)}")
+    return given

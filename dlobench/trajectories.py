@@ -69,7 +69,22 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Trajectories:
-    """Holds K trajectories of T pushes in one domain. What is unobserved (the `Domain`) is not here."""
+    """Holds K trajectories of T pushes in one domain. What is unobserved (the `Domain`) is not here.
+
+    Examples:
+        >>> from dlobench.domain import typical
+        >>> K, T, shapes = 5, 20, geometry(typical(material="soft", attachment="none", length=0.10, rigid_objects=0))
+        >>> dlo, bodies, pusher = np.zeros((K, T + 1, 32, 3)), np.zeros((K, T + 1, 3, 3)), np.zeros((K, T + 1, 2))
+        >>> pushes = np.zeros((K, T, 2))
+        >>> five = Trajectories(dlo, shapes[0], pusher, bodies, *shapes[1:], commanded=pushes, executed=pushes)
+        >>> len(five), five.pushes, int(five.dlo_mask.sum())
+        (5, 20, 20)
+        >>> support, rest = five.take(slice(0, 2)), five.take(np.array([2, 3, 4]))
+        >>> query, truth = rest.windows(horizon=4)  # 3 trajectories × 17 starts
+        >>> query.dlo.shape, query.actions.shape, truth.dlo.shape
+        ((51, 32, 3), (51, 4, 2), (1, 51, 32, 2))
+
+    """
 
     dlo: Floats  # (K, T+1, 32, 3)  segment centres x m, y m, yaw rad
     dlo_mask: Mask  # (32,)  which segments exist
@@ -146,6 +161,12 @@ def parameters(domain: Domain) -> Floats:
 
     Surface friction, density, length, log stiffness and log yield curvature (1 where it never yields), each from −1 to
     1 over its range (that of all materials), then which material and which attachment, three of 0 and 1 each.
+
+    Examples:
+        >>> from dlobench.domain import typical
+        >>> parameters(typical(material="soft", attachment="fixed", length=0.16, rigid_objects=0))[4:].tolist()
+        [1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]
+
     """
 
     def scaled(value: float, low: float, high: float) -> float:

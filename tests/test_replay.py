@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -199,14 +198,3 @@ def test_the_reading_example_reads(folder: Path) -> None:
     printed = run("read.py", DLOBENCH_DATA=str(folder))
     assert "(20, 21, 32, 3) x m" in printed and "windows; a linear model explains" in printed
     assert "nan" not in printed.splitlines()[-1]
-
-
-def test_what_the_readme_shows_runs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("DLOBENCH_DATA", str(folder))
-    section = (EXAMPLES.parent / "README.md").read_text().split("\n## Read the data\n")[1].split("\n## ")[0]
-    told: dict[str, Any] = {}
-    for block in re.findall(r"```python\n(.*?)```", section, re.DOTALL):
-        exec(block, told)  # noqa: S102  # our own text
-    assert told["one"].dlo.shape == (20, 21, 32, 3) and len(told["soft"]) > 1
-    assert told["batch"].dlo_after.shape[1:] == (32, 3) and told["replay"].sample().shape == (64,)
-    assert told["env"].reset()["dlo"].shape == (32, 3)

@@ -57,6 +57,13 @@ def coverage(found: Ranks, samples: int, level: float) -> float | None:
 
     The interval leaves out (S + 1)(1 − level) / 2 ranks at each end: its ends are samples, and nothing is interpolated.
     Raises `UsageError` where that is no whole number.
+
+    Examples:
+        >>> coverage(np.arange(100), samples=99, level=0.9)  # every rank once: calibrated
+        0.9
+        >>> coverage(np.array([0, 0, 99, 99]), samples=99, level=0.9)  # the truth is always outside
+        0.0
+
     """
     out = (samples + 1) * (1 - level) / 2
     if not 0 < level < 1 or abs(out - round(out)) > 1e-9:

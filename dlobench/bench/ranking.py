@@ -120,6 +120,11 @@ def mean_ranks(values: Array) -> Array:
     """Returns the rank of each value (N, M) in its row, 1 for the lowest; equal ones share their mean rank.
 
     As `scipy.stats.rankdata` along the last axis, whose import takes longer than the whole ranking.
+
+    Examples:
+        >>> mean_ranks(np.array([[0.3, 0.1, 0.3]]))
+        array([[2.5, 1. , 2.5]])
+
     """
     out = np.empty_like(values)
     for row, rank in zip(values, out, strict=True):

@@ -28,6 +28,14 @@ def energy(samples: Floats, true: Floats, mask: Mask) -> float:
     of all coordinates over the root of the number of segments, so that DLOs of all lengths compare, in metres. It is
     strictly proper for the joint distribution of all segments (Gneiting & Raftery 2007, section 4.3). For S = 1 it
     is `metrics.shape_error`.
+
+    Examples:
+        >>> mask, true = np.arange(32) < 20, np.zeros((1, 1, 32, 2), np.float32)  # one execution, of one query
+        >>> sure = true + 0.005  # one sample, 7 mm off
+        >>> unsure = np.concatenate([true - 0.005, true + 0.005])  # two, on both sides
+        >>> print(f"{energy(sure, true, mask):.4f} {energy(unsure, true, mask):.4f}")
+        0.0071 0.0000
+
     """
     scores = []
     for x, y in _queries(samples, true, mask):

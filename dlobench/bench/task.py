@@ -234,7 +234,15 @@ def split_digest(spans: Mapping[Part, Sequence[Span]]) -> str:
 
 
 def supports(pool: int, K: int) -> list[slice]:
-    """Returns disjoint supports of K trajectories out of a pool: at most ten; for K = 0 one empty one."""
+    """Returns disjoint supports of K trajectories out of a pool: at most ten; for K = 0 one empty one.
+
+    Examples:
+        >>> supports(pool=10, K=4)
+        [slice(0, 4, None), slice(4, 8, None)]
+        >>> len(supports(pool=50, K=1)), supports(pool=10, K=0)
+        (10, [slice(0, 0, None)])
+
+    """
     if K == 0:
         return [slice(0, 0)]
     return [slice(i * K, (i + 1) * K) for i in range(min(DISJOINT_SUPPORTS, pool // K))]

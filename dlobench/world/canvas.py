@@ -42,7 +42,7 @@ def load() -> None:
             try:
                 importlib.reload(gl_context)
             finally:
-                os.environ[VARIABLE] = asked  # an empty one says nothing either
+                del os.environ[VARIABLE]  # as it was; dm_control takes an empty one for a screen
     except Exception as error:  # PyOpenGL raises AttributeError for a library that is not there
         raise RunError(_why(chosen, error)) from error
 
