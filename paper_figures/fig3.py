@@ -49,7 +49,7 @@ def common(of: Recorded) -> int:
 
 def by_size(axes: Axes, of: Recorded, name: str) -> None:
     """Draws the error against pushes, a line a horizon: solid over all domains, hollow over those with every size."""
-    frame = of.only([name]).frame
+    frame = of.where(name=name).frame
     whole = frame[frame["trajectories"] <= common(of)]
     few = with_all(frame, "trajectories")
     for n, look in HORIZONS.items():
@@ -67,8 +67,7 @@ def by_size(axes: Axes, of: Recorded, name: str) -> None:
 
 def by_material(axes: Axes, of: Recorded, name: str) -> None:
     """Draws the error against the horizon, a line a material, at the largest size that every domain has."""
-    frame = of.frame[of.frame["trajectories"] == common(of)]
-    found = Recorded(of.task, of.scale, of.records, frame).intervals("euclidean", ["material", "horizon"])
+    found = of.where(name=name, trajectories=common(of)).intervals("euclidean", ["material", "horizon"])
     for material in MATERIALS:
         look = OF_MATERIALS[material]
         paper = PAPER_MATERIALS[material]

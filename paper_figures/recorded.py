@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 
 from dlobench.bench.matrix import grids, intervals_of
 from dlobench.bench.record import Record
@@ -26,7 +27,7 @@ from dlobench.world.simulate import PUSHES
 HERE = Path(__file__).parent
 SCALES = ("paper", "small", "mini")  # the largest that there is
 MM = 1e3  # mm in a metre
-STYLE = {
+STYLE: Any = {
     "font.size": 8.0,
     "axes.titlesize": 8.0,
     "axes.grid": True,
@@ -85,25 +86,25 @@ class Recorded:
     @property
     def names(self) -> list[str]:
         """Returns the names of the models, in the order in which they are drawn."""
-        return sorted({label(record) for record in self.records}, key=place)
+        return sorted(self.frame["name"].unique(), key=place)
 
-    def only(self, names: Iterable[str]) -> Recorded:
-        """Returns what is of some names."""
-        names = set(names)
-        chosen = tuple(record for record in self.records if label(record) in names)
-        return Recorded(self.task, self.scale, chosen, self.frame[self.frame["name"].isin(names)])
+    def where(self, **values: object) -> Recorded:
+        """Returns what has these values in columns of the frame; a list holds any of its values."""
+        frame = self.frame
+        for column, value in values.items():
+            frame = frame[frame[column].isin(value if isinstance(value, list) else [value])]
+        return replace(self, frame=frame)
 
     def footnote(self) -> str:
         """Returns scale, seeds and domains in a sentence."""
-        seeds = sorted({self.frame.loc[self.frame["name"] == name, "seed"].nunique() for name in self.names})
-        domains = self.frame["domain"].nunique()
-        if seeds[-1] == 1:
-            many = "1 seed, intervals (95 %) over domains"
-        else:
-            many = (
-                f"{'–'.join(map(str, dict.fromkeys((seeds[0], seeds[-1]))))} seeds a model, intervals (95 %) over both"
-            )
-        return f"task {self.task}, scale {self.scale}: {domains} test domains, {many}"
+        seeds = self.frame.groupby("name")["seed"].nunique()
+        fewest, most = int(seeds.min()), int(seeds.max())
+        many = f"{most}" if fewest == most else f"{fewest} to {most}"
+        over = "domains" if most == 1 else "domains and seeds"
+        return (
+            f"task {self.task}, scale {self.scale}: {self.frame['domain'].nunique()} test domains, "
+            f"{many} seed{'' if most == 1 else 's'} a model; intervals (95 %) over {over}"
+        )
 
     def intervals(self, metric: str, by: Sequence[str]) -> dict[tuple[str, ...], Interval]:
         """Returns the mean of a score by name and the values (as text) of some columns, with its interval.
@@ -159,6 +160,13 @@ def of(records: Sequence[Record]) -> Recorded:
     return Recorded(records[0].task, records[0].scale, tuple(records), frame)
 
 
+def adapting(of: Recorded) -> list[str]:
+    """Returns the names of the models whose error changes with K: all others never adapt."""
+    of_domain = of.frame.groupby(["name", "trajectories", "horizon", "seed", "domain"])["mse"]
+    spread = (of_domain.max() - of_domain.min()).groupby("name").max()
+    return [name for name in of.names if spread[name] > 0]
+
+
 def missing(task: str, *models: str, what: str = "record", scale: str = "small") -> RunError:
     """Returns the error that names the run which makes what is missing."""
     runs = " and ".join(f"`dlobench run --task {task} --scale {scale} --model {model}`" for model in models)
@@ -174,6 +182,14 @@ def errorbar(axes: Axes, x: Sequence[float], found: Sequence[Interval], *, unit:
     if not known.any():
         how["markerfacecolor"] = "white"
     axes.errorbar(np.asarray(x, float), y, yerr=reach, **how)
+
+
+def log_mm(axes: Axes) -> None:
+    """Makes the ordinate logarithmic, with numbers that can be read."""
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 1.5, 2, 3, 5, 7)))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_locator(NullLocator())
 
 
 def shown(found: Interval, unit: float, digits: int = 2) -> str:
