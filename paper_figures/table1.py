@@ -81,7 +81,8 @@ def draw(results: Path, out: Path) -> None:
     sizes = ", ".join(map(str, sorted(of.frame["trajectories"].unique())))
     note = (
         f"Mean squared error of a coordinate 4 pushes ahead, 10⁻⁴ m²; {sizes} trajectories a training domain; "
-        f"{of.footnote()}. Models with one number never adapt. Of the paper only the order of its numbers is comparable: its simulator is another one."
+        f"{of.footnote()}. Models with one number never adapt. "
+        "Of the paper only the order of its numbers is comparable: its simulator is another one."
     )
     markdown(out / "table1.md", table, note)
     (out / "table1.tex").write_text(latex(table, note))
