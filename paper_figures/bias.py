@@ -9,7 +9,7 @@ from pathlib import Path
 from fig3 import common
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from recorded import Recorded, look, main, markdown, missing, read, save, shown
+from recorded import Recorded, across, look, main, markdown, missing, read, save, shown
 
 from dlobench.bench.matrix import grid
 from dlobench.bench.statistics import Interval, interval
@@ -52,15 +52,11 @@ def changes(of: Recorded) -> dict[tuple[int, int, str, str], Interval]:
 def panel(axes: Axes, found: dict[tuple[str, str], Interval], kinds: list[str], names: list[str]) -> None:
     """Draws the changes of one size and horizon, in percent: a row a kind of domain, a mark a model."""
     for i, name in enumerate(names):
-        how = look(name)
         for at, kind in enumerate(kinds):
-            if (one := found.get((kind, name))) is None:
-                continue
-            y = at + 0.7 * ((i + 0.5) / len(names) - 0.5)
-            low, high = (one.estimate if end is None else end for end in (one.low, one.high))
-            axes.plot([100 * low, 100 * high], [y, y], color=how["color"], linewidth=0.9)
-            fill = how["color"] if one.tie is False else "white"
-            axes.plot([100 * one.estimate], [y], how["marker"], color=how["color"], markersize=4, markerfacecolor=fill)
+            if (kind, name) in found:
+                y = at + 0.7 * ((i + 0.5) / len(names) - 0.5)
+                across(axes, y, found[kind, name], look(name), unit=100)
+        axes.plot([], [], **look(name) | {"linestyle": "-"}, label=name)
     axes.axvline(0, color="black", linewidth=0.8)
     axes.set_ylim(len(kinds) - 0.5, -0.5)
 
@@ -84,8 +80,7 @@ def draw(results: Path, out: Path) -> None:
     for each in axes[-1]:
         each.set_xlabel(f"error against {BASE}, %")
     axes[0, 0].set_yticks(range(len(kinds)), [str(kind) for kind in kinds])
-    handles = [each.plot([], [], **look(name) | {"linestyle": "-"})[0] for each in axes[0, :1] for name in names]
-    figure.legend(handles, names, loc="outside upper center", ncols=len(names))
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=len(names))
     save(figure, "bias", out, f"{of.footnote()}; left of 0: better than {BASE}; filled: the interval leaves out 0")
     table = [["pushes", "n", "domains", *names]]
     for pushes, horizon, kind in dict.fromkeys(key[:3] for key in found):

@@ -6,14 +6,21 @@ import sys
 from pathlib import Path
 
 from matplotlib.figure import Figure
-from recorded import MM, Recorded, look, main, markdown, missing, read, save, shown
+from recorded import MM, Recorded, across, look, main, markdown, missing, read, save, shown
 
 from dlobench.bench.matrix import grid
 from dlobench.bench.plugins import load_task
 from dlobench.bench.statistics import Interval, interval
 
 MARK = "-without-"  # in the name of a cell whose fit lacked a region of domains, and which is tested in it
-SAID = {"free": "not attached", "length": "10 and 16 cm", "density": "extreme density", "friction": "extreme friction"}
+SAID = {
+    "free": "not attached",
+    "movable": "movable attachment",
+    "fixed": "fixed attachment",
+    "length": "10 and 16 cm",
+    "density": "extreme density",
+    "friction": "extreme friction",
+}
 
 
 def regions(of: Recorded) -> list[str]:
@@ -57,18 +64,11 @@ def draw(results: Path, out: Path) -> None:
     axes = figure.subplots(1, len(Ks), sharey=True, sharex=True, squeeze=False)[0]
     for panel, K in zip(axes, Ks, strict=True):
         for i, name in enumerate(names):
-            how = look(name)
             for at, region in enumerate(there):
-                if (name, region, K) not in found:
-                    continue
-                one, _ = found[name, region, K]
-                y = at + 0.7 * ((i + 0.5) / len(names) - 0.5)
-                low, high = (one.estimate if end is None else end for end in (one.low, one.high))
-                panel.plot([MM * low, MM * high], [y, y], color=how["color"], linewidth=0.9)
-                fill = how["color"] if one.tie is False else "white"
-                label = name if at == 0 else None
-                point = [MM * one.estimate], [y]
-                panel.plot(*point, how["marker"], color=how["color"], markerfacecolor=fill, label=label)
+                if (name, region, K) in found:
+                    y = at + 0.7 * ((i + 0.5) / len(names) - 0.5)
+                    across(panel, y, found[name, region, K][0], look(name), unit=MM)
+            panel.plot([], [], **look(name) | {"linestyle": "-"}, label=name)
         panel.axvline(0, color="black", linewidth=0.8)
         panel.set(title=f"K = {K}", xlabel="more error without such domains, mm")
     axes[0].set_yticks(range(len(there)), [SAID.get(region, region) for region in there])

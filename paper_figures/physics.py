@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from recorded import Recorded, look, main, markdown, read, save
+from recorded import Recorded, across, look, main, markdown, read, save, shown
 
 from dlobench.bench.matrix import grid
 from dlobench.bench.statistics import LEVEL, Array, Interval, counts
@@ -92,9 +92,10 @@ def regressions(of: Recorded) -> dict[str, Regression]:
     return out
 
 
-def percent(effect: float | None) -> float:
+def percent(effect: Interval) -> Interval:
     """Returns the change of an error in percent that a change of its logarithm is."""
-    return 100 * float(np.expm1(effect)) if effect is not None else float("nan")
+    low, high = (None if end is None else 100 * float(np.expm1(end)) for end in (effect.low, effect.high))
+    return replace(effect, estimate=100 * float(np.expm1(effect.estimate)), low=low, high=high)
 
 
 def draw(results: Path, out: Path) -> None:
@@ -107,14 +108,8 @@ def draw(results: Path, out: Path) -> None:
     figure = Figure(figsize=(1.6 + 1.5 * min(COLUMNS, len(found)), 0.6 + 2.1 * rows), layout="constrained")
     axes = figure.subplots(rows, min(COLUMNS, len(found)), squeeze=False, sharex=True, sharey=True)
     for panel, (name, one) in zip(axes.flat, found.items(), strict=False):
-        how = look(name)
         for effect, interval in one.effects.items():
-            at, sure = effects.index(effect), interval.tie is False
-            panel.plot([percent(interval.low), percent(interval.high)], [at, at], color=how["color"], linewidth=1)
-            panel.plot(
-                [percent(interval.estimate)], [at], how["marker"], color=how["color"],
-                markerfacecolor=how["color"] if sure else "white",
-            )  # fmt: skip
+            across(panel, effects.index(effect), percent(interval), look(name))
         panel.axvline(0, color="black", linewidth=0.8)
         panel.set_title(f"{name} (R² = {one.explained:.2f})", fontsize=7)
     for panel in axes.flat[len(found) :]:
@@ -129,10 +124,7 @@ def draw(results: Path, out: Path) -> None:
     table = [["model", *effects, "R²"]]
     for name, one in found.items():
         cells = [one.effects.get(effect) for effect in effects]
-        texts = [
-            "–" if c is None else f"{percent(c.estimate):+.0f} ({percent(c.low):+.0f} to {percent(c.high):+.0f})"
-            for c in cells
-        ]
+        texts = ["–" if cell is None else shown(percent(cell), 1, 0) for cell in cells]
         table.append([name, *texts, f"{one.explained:.2f}"])
     lacking = sorted({"length", "rigid bodies"} - set(effects))
     same = f" The same in all domains: {', '.join(lacking)}." if lacking else ""

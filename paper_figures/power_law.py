@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from recorded import MM, Recorded, look, main, markdown, missing, read, save, shown
+from recorded import MM, Recorded, across, look, main, markdown, missing, read, save, shown
 
 from dlobench.bench.matrix import Matrix, grids
 from dlobench.bench.statistics import LEVEL, Array, Interval, interval, resampled
@@ -121,10 +121,7 @@ def curves(axes: Axes, of: Recorded, found: dict[tuple[str, int], PowerLaw], hor
 def forest(axes: Axes, of: Recorded, found: dict[tuple[str, int], PowerLaw], horizon: int) -> None:
     """Draws the exponent of each model with its interval."""
     for row, name in enumerate(of.names):
-        one = found[name, horizon].exponent
-        low, high = (one.estimate if end is None else end for end in (one.low, one.high))
-        axes.plot([low, high], [row, row], color=look(name)["color"], linewidth=1)
-        axes.plot([one.estimate], [row], **look(name))
+        across(axes, row, found[name, horizon].exponent, look(name))
     axes.axvline(0, color="black", linewidth=0.8)
     axes.set_yticks(range(len(of.names)), of.names)
     axes.set(ylim=(len(of.names) - 0.5, -0.5), xlabel="exponent b")

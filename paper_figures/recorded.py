@@ -184,6 +184,16 @@ def errorbar(axes: Axes, x: Sequence[float], found: Sequence[Interval], *, unit:
     axes.errorbar(np.asarray(x, float), y, yerr=reach, **how)
 
 
+def across(
+    axes: Axes, at: float, found: Interval, how: dict[str, Any], *, unit: float = 1.0, zero: bool = True
+) -> None:
+    """Draws an estimate and its interval, times `unit`, along the abscissa; hollow if it holds 0 and `zero`."""
+    low, high = (found.estimate if end is None else end for end in (found.low, found.high))
+    axes.plot([unit * low, unit * high], [at, at], color=how["color"], linewidth=0.9)
+    fill = "white" if zero and found.tie is not False else how["color"]
+    axes.plot([unit * found.estimate], [at], how["marker"], color=how["color"], markersize=4, markerfacecolor=fill)
+
+
 def log_mm(axes: Axes) -> None:
     """Makes the ordinate logarithmic, with numbers that can be read."""
     axes.set_yscale("log")
