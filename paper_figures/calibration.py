@@ -100,7 +100,7 @@ def draw(results: Path, out: Path) -> None:
             cells = [shown(covered[metric][name], 100, 1) if name in sampling else "–" for metric in LEVELS]
             table.append([name, str(horizon), *cells, shown(scores[name], 1)])
     axes[-1, 0].set_xlabel("truth in the central 50 and 90 %, %")
-    axes[-1, 3].set_xlabel(f"(energy score − floor) / that of {base or 'persistence'}")
+    axes[-1, 3].set_xlabel(f"(energy score − floor) /\nthat of {base or 'persistence'}")
     figure.legend(*axes[0, 1].get_legend_handles_labels(), loc="outside upper center", ncols=len(sampling))
     save(figure, "calibration", out, f"{of.footnote()}; dashed: calibrated, and as good as {base or 'persistence'}")
     note = (

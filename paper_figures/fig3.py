@@ -48,14 +48,15 @@ def common(of: Recorded) -> int:
 
 
 def by_size(axes: Axes, of: Recorded, name: str) -> None:
-    """Draws the error against pushes, a line a horizon: solid over all domains, hollow over those with every size."""
+    """Draws the error against pushes, a line a horizon, and goes on, hollow, over the domains with every size."""
     frame = of.where(name=name).frame
     whole = frame[frame["trajectories"] <= common(of)]
     few = with_all(frame, "trajectories")
+    few = few[few["trajectories"] >= common(of)]
     for n, look in HORIZONS.items():
         if n in PAPER:
             axes.plot(list(PAPER[n]), [MM * e for e in PAPER[n].values()], **GREY | {k: look[k] for k in ("marker",)})
-        for part, more in ((few, {"markerfacecolor": "white", "alpha": 0.6}), (whole, {})):
+        for part, more in ((few, {"markerfacecolor": "white"}), (whole, {})):
             if part is few and few["domain"].nunique() == whole["domain"].nunique():
                 continue
             cells = grids(part[part["horizon"] == n], "euclidean", ["pushes"])
@@ -63,6 +64,7 @@ def by_size(axes: Axes, of: Recorded, name: str) -> None:
             sizes = sorted(found, key=lambda key: int(key[0]))
             errorbar(axes, [float(x) for (x,) in sizes], [found[x] for x in sizes], **look | more)
     axes.set(xscale="log", yscale="log", title=name, xlabel="pushes to train on")
+    axes.set_xticks([1e3, 1e4, 1e5, 1e6])
 
 
 def by_material(axes: Axes, of: Recorded, name: str) -> None:

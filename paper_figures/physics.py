@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from recorded import Recorded, across, look, main, markdown, read, save, shown
+from recorded import Recorded, across, choose, everything, look, main, markdown, missing, save, scored, shown
 
 from dlobench.bench.matrix import grid
 from dlobench.bench.statistics import LEVEL, Array, Interval, counts
@@ -18,6 +18,7 @@ from dlobench.domain import Domain
 from dlobench.errors import UsageError
 
 COLUMNS = 5  # of panels
+TASKS = ("meta", "meta_objects")  # the first has DLOs of one length and no rigid bodies
 
 
 @dataclass(frozen=True)
@@ -99,8 +100,17 @@ def percent(effect: Interval) -> Interval:
 
 
 def draw(results: Path, out: Path) -> None:
+    """Draws the effects on each task of `TASKS` that has records."""
+    records = everything(results)
+    there = [task for task in TASKS if any(record.task == task for record in records)]
+    if not there:
+        raise missing(TASKS[0], "gnn_context")
+    for task in there:
+        panels(scored(choose(records, task)), "physics" if task == TASKS[0] else f"physics_{task}", out)
+
+
+def panels(of: Recorded, called: str, out: Path) -> None:
     """Draws a panel of effects for each model, at the largest K, and writes them as a table."""
-    of = read(results, "meta")
     of = of.where(trajectories=of.frame["trajectories"].max(), K=of.frame["K"].max())
     found = regressions(of)
     effects = list(dict.fromkeys(name for one in found.values() for name in one.effects))
@@ -120,7 +130,7 @@ def draw(results: Path, out: Path) -> None:
     axes[0, 0].set_ylim(len(effects) - 0.5, -0.5)
     figure.suptitle("change of the error, %, by one standard deviation more, or by what is there", fontsize=8)
     K = int(of.frame["K"].iloc[0])
-    save(figure, "physics", out, f"{of.footnote()}; K = {K}; filled: the interval leaves out 0")
+    save(figure, called, out, f"{of.footnote()}; K = {K}; filled: the interval leaves out 0")
     table = [["model", *effects, "R²"]]
     for name, one in found.items():
         cells = [one.effects.get(effect) for effect in effects]
@@ -132,7 +142,7 @@ def draw(results: Path, out: Path) -> None:
         "Change of the error in percent by one standard deviation more of a parameter, the others held, or by what is "
         f"there; bootstrap over domains; K = {K}; {of.footnote()}.{same}"
     )
-    markdown(out / "physics.md", table, note)
+    markdown(out / f"{called}.md", table, note)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +28,7 @@ from dlobench.world.simulate import PUSHES
 HERE = Path(__file__).parent
 SCALES = ("paper", "small", "mini")  # the largest that there is
 MM = 1e3  # mm in a metre
+CHARACTERS = 19  # of a footnote that an inch holds
 STYLE: Any = {
     "font.size": 8.0,
     "axes.titlesize": 8.0,
@@ -147,11 +149,15 @@ def choose(records: Sequence[Record], *tasks: str) -> list[Record]:
 
 def read(results: Path, *tasks: str) -> Recorded:
     """Returns what is drawn of the first of some tasks that has records; raises `RunError` as `choose` does."""
-    records = choose(read_all(results) if results.is_dir() else [], *tasks)
-    return of(records)
+    return scored(choose(everything(results), *tasks))
 
 
-def of(records: Sequence[Record]) -> Recorded:
+def everything(results: Path) -> list[Record]:
+    """Returns all records of a results folder, none where it is missing."""
+    return read_all(results) if results.is_dir() else []
+
+
+def scored(records: Sequence[Record]) -> Recorded:
     """Returns chosen records with their scores."""
     names = {(record.model, record.config): label(record) for record in records}
     frame = scores(records)
@@ -170,7 +176,7 @@ def adapting(of: Recorded) -> list[str]:
 def missing(task: str, *models: str, what: str = "record", scale: str = "small") -> RunError:
     """Returns the error that names the run which makes what is missing."""
     runs = " and ".join(f"`dlobench run --task {task} --scale {scale} --model {model}`" for model in models)
-    return RunError(f"there is no {what} of {task} to draw: {runs} with `--out leaderboard/results` makes it")
+    return RunError(f"there is no {what} of {task} to draw: run {runs}, with `--out leaderboard/results`")
 
 
 def errorbar(axes: Axes, x: Sequence[float], found: Sequence[Interval], *, unit: float = MM, **how: Any) -> None:
@@ -220,10 +226,10 @@ def markdown(path: Path, rows: Sequence[Sequence[str]], note: str) -> None:
 def save(figure: Figure, name: str, out: Path, note: str = "") -> None:
     """Writes a figure as PDF and PNG, with a footnote."""
     out.mkdir(parents=True, exist_ok=True)
+    note = textwrap.fill(note, int(CHARACTERS * figure.get_figwidth()))
     figure.supxlabel(note, fontsize=6.5, color="0.3", x=0.01, ha="left")
-    with mpl.rc_context({"pdf.fonttype": 42}):
-        figure.savefig(out / f"{name}.pdf", metadata={"CreationDate": None})
-        figure.savefig(out / f"{name}.png", dpi=200)
+    figure.savefig(out / f"{name}.pdf", metadata={"CreationDate": None})
+    figure.savefig(out / f"{name}.png")
 
 
 def main(draw: Callable[[Path, Path], None], arguments: Sequence[str] | None = None) -> int:
