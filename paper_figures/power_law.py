@@ -38,8 +38,9 @@ def fit(sizes: Array, errors: Array, seeds: tuple[str, ...], domains: tuple[str,
 
     Least squares in logarithms, in which every domain has an intercept of its own and all share one exponent, so that
     domains that lack the largest sizes distort nothing. The exponent has the interval of a ratio of sums over seeds and
-    domains, and the pushes the percentiles of resamplings of both. Raises `UsageError` unless two domains have two
-    sizes each.
+    domains, and the pushes the percentiles of resamplings of both. Where the truth is known (18 domains, of which 3
+    have the largest of 3 sizes, exponents alike or not) 95–96 % of the former and 92–95 % of the latter hold it.
+    Raises `UsageError` unless two domains have two sizes each.
     """
     x = np.where(np.isfinite(errors), np.log(sizes)[:, None, None], np.nan)
     y = np.log(errors)
@@ -98,7 +99,7 @@ def said(found: Interval) -> str:
 
 def curves(axes: Axes, of: Recorded, found: dict[tuple[str, int], PowerLaw], horizon: int) -> None:
     """Draws what was measured of each domain's typical error, the law within it and, thinner, beyond it."""
-    for name in of.names:
+    for name in of.where(horizon=horizon).names:
         rows, how = of.where(name=name, horizon=horizon).frame, look(name)
         law = found[name, horizon]
         n = np.sort(rows["pushes"].unique()).astype(float)
@@ -121,7 +122,8 @@ def curves(axes: Axes, of: Recorded, found: dict[tuple[str, int], PowerLaw], hor
 def forest(axes: Axes, of: Recorded, found: dict[tuple[str, int], PowerLaw], horizon: int) -> None:
     """Draws the exponent of each model with its interval."""
     for row, name in enumerate(of.names):
-        across(axes, row, found[name, horizon].exponent, look(name))
+        if (name, horizon) in found:
+            across(axes, row, found[name, horizon].exponent, look(name))
     axes.axvline(0, color="black", linewidth=0.8)
     axes.set_yticks(range(len(of.names)), of.names)
     axes.set(ylim=(len(of.names) - 0.5, -0.5), xlabel="exponent b")
@@ -130,9 +132,11 @@ def forest(axes: Axes, of: Recorded, found: dict[tuple[str, int], PowerLaw], hor
 def draw(results: Path, out: Path) -> None:
     """Draws the laws and their exponents, a column a horizon, and writes both with the pushes as a table."""
     of = read(results, "horizon_sweep", "single_domain")
-    if of.frame["trajectories"].nunique() < 2:
-        raise missing(of.task, "mlp", what="record with several train sizes", scale="small")
-    of = of.where(name=[name for name in of.names if name != "persistence"])  # nothing to learn
+    sizes = of.frame.groupby("name")["trajectories"].nunique()
+    names = [name for name in of.names if sizes[name] > 1 and name != "persistence"]  # which has nothing to learn
+    if not names:
+        raise missing(of.task, "mlp", what="record with several train sizes")
+    of = of.where(name=names)
     found, horizons = laws(of), sorted(map(int, of.frame["horizon"].unique()))
     figure = Figure(figsize=(1.5 + 1.9 * len(horizons), 4.6), layout="constrained")
     axes = figure.subplots(2, len(horizons), squeeze=False, sharey="row", height_ratios=(3, 0.3 + 0.25 * len(of.names)))
@@ -143,9 +147,9 @@ def draw(results: Path, out: Path) -> None:
     save(figure, "power_law", out, f"{of.footnote()}; thin: beyond what was measured; grey: {MM * TARGET:g} mm")
     rows = [["model", "n", "exponent b", f"pushes for {MM * TARGET:g} mm"]]
     rows += [[name, str(n), shown(one.exponent, 1, 3), said(one.pushes)] for (name, n), one in sorted(found.items())]
-    sizes = ", ".join(f"{size:,}" for size in sorted(of.frame["pushes"].unique()))
+    fitted = ", ".join(f"{size:,}" for size in sorted(of.frame["pushes"].unique()))
     note = (
-        f"error = a·n^−b of the typical domain, fitted to {sizes} pushes and extrapolated; not reached: within "
+        f"error = a·n^−b of the typical domain, fitted to {fitted} pushes and extrapolated; not reached: within "
         f"{ABSURD:.0e} pushes; {of.footnote()}."
     )
     markdown(out / "power_law.md", rows, note)
