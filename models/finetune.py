@@ -55,8 +55,8 @@ class Finetune(Model):
     depth: int = 6  # hidden layers
     learning_rate: float = 1e-3
     batch: int = 64  # windows
-    steps: int = 40_000
-    patience: int = 20  # validations, 500 steps apart, without a new best
+    steps: int = 200_000
+    patience: int = 40  # validations, 500 steps apart, without a new best
     most: int = 32  # gradient steps of an adaptation
     draws: int = 4  # supports of each validation domain that the choice looks at
     target: Target = "displacement"

@@ -44,8 +44,8 @@ class Maml(Model):
     first_order: bool = False  # whether the inner gradients count as constants
     rate_per: RatePer = "layer"
     adapts: Adapts = "all"  # or the last layer alone
-    steps: int = 6000
-    patience: int = 20  # validations, 100 steps apart, without a new best
+    steps: int = 20_000
+    patience: int = 40  # validations, 100 steps apart, without a new best
     target: Target = "displacement"
 
     network: Network = field(init=False, repr=False, compare=False)

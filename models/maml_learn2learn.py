@@ -89,8 +89,8 @@ class MamlLearn2learn(Model):
     inner_rate: float = 0.1  # at first
     inner_steps: int = 1
     first_order: bool = False  # whether the inner gradients count as constants
-    steps: int = 6000
-    patience: int = 20  # validations, 100 steps apart, without a new best
+    steps: int = 20_000
+    patience: int = 40  # validations, 100 steps apart, without a new best
     target: Target = "displacement"
 
     network: Network = field(init=False, repr=False, compare=False)

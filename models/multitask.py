@@ -26,8 +26,8 @@ class Multitask(Model):
     depth: int = 6  # hidden layers
     learning_rate: float = 1e-3
     batch: int = 64  # windows
-    steps: int = 40_000
-    patience: int = 20  # validations, 500 steps apart, without a new best
+    steps: int = 200_000
+    patience: int = 40  # validations, 500 steps apart, without a new best
     target: Target = "displacement"
 
     network: Network = field(init=False, repr=False, compare=False)
