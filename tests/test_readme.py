@@ -26,6 +26,7 @@ import typer
 from test_render import drawing  # noqa: F401
 from test_store import write
 
+from dlobench.bench.plugins import find
 from dlobench.cli import app, main
 from dlobench.data.sets import SETS
 from dlobench.data.store import Store
@@ -289,6 +290,12 @@ def test_the_readme_links_to_what_is_there() -> None:
     links = re.findall(r'(?:\]\(|src=")([^):"]+)[)"]', (ROOT / "README.md").read_text())
     assert len(links) > 10
     assert not [link for link in links if not (ROOT / link).exists()]
+
+
+@pytest.mark.parametrize("kind", ["models", "tasks"])
+def test_a_page_names_every_plugin(kind: str) -> None:
+    page = (ROOT / "docs" / f"{kind}.md").read_text()
+    assert not [name for name in find(kind) if f"`{name}`" not in page]
 
 
 def test_the_boards_top_is_up_to_date() -> None:
