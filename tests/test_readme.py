@@ -26,7 +26,7 @@ import typer
 from test_render import drawing  # noqa: F401
 from test_store import write
 
-from dlobench.bench.plugins import find
+from dlobench.bench.plugins import Kind, find
 from dlobench.cli import app, main
 from dlobench.data.sets import SETS
 from dlobench.data.store import Store
@@ -293,7 +293,7 @@ def test_the_readme_links_to_what_is_there() -> None:
 
 
 @pytest.mark.parametrize("kind", ["models", "tasks"])
-def test_a_page_names_every_plugin(kind: str) -> None:
+def test_a_page_names_every_plugin(kind: Kind) -> None:
     page = (ROOT / "docs" / f"{kind}.md").read_text()
     assert not [name for name in find(kind) if f"`{name}`" not in page]
 
