@@ -228,6 +228,8 @@ def save(figure: Figure, name: str, out: Path, note: str = "") -> None:
     out.mkdir(parents=True, exist_ok=True)
     note = textwrap.fill(note, int(CHARACTERS * figure.get_figwidth()))
     figure.supxlabel(note, fontsize=6.5, color="0.3", x=0.01, ha="left")
+    figure.draw_without_rendering()
+    figure.set_layout_engine("none")  # is laid out, once for both files
     figure.savefig(out / f"{name}.pdf", metadata={"CreationDate": None})
     figure.savefig(out / f"{name}.png")
 
