@@ -105,7 +105,8 @@ def draw(results: Path, out: Path) -> None:
     )
     few, every = with_all(of.frame, "trajectories")["domain"].nunique(), of.frame["domain"].nunique()
     hollow = f"; hollow: the {few} domains that have every size" if few < every else ""
-    save(figure, "fig3", out, f"{of.footnote()}{hollow}; below at {common(of) * 20} pushes")
+    pushes = int(of.where(trajectories=common(of)).frame["pushes"].iloc[0])
+    save(figure, "fig3", out, f"{of.footnote()}{hollow}; below after {pushes:,} pushes; means of domains")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from recorded import Recorded, adapting, main, markdown, read, shown
+from recorded import Recorded, adapting, label, main, markdown, read, shown
 
 from dlobench.bench.statistics import Interval
 
@@ -27,7 +27,7 @@ def numbers(of: Recorded) -> dict[tuple[str, int, int], Interval]:
 def rows(of: Recorded) -> list[list[str]]:
     """Returns the table as text, the header first; what never adapts has one number, without adaptation."""
     found, adapt = numbers(of), adapting(of)
-    privileged = {record.model for record in of.records if record.privileged}
+    privileged = {label(record) for record in of.records if record.privileged}
     columns = sorted({key[1:] for key in found})
     sizes = sorted({size for size, _ in columns})
     Ks = sorted({K for _, K in columns} | {K for row in PAPER.values() for K in row})
