@@ -6,7 +6,6 @@ import copy
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import Any
 
 import torch
@@ -28,7 +27,7 @@ def learn2learn() -> Any:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            return import_module("learn2learn")
+            import learn2learn as library  # type: ignore[import-not-found]  # noqa: PLC0415  # an extra
         except ImportError as error:
             raise RunError(
                 f"maml_learn2learn needs learn2learn, which cannot be imported ({error}): `make peers` builds an "
@@ -39,7 +38,8 @@ def learn2learn() -> Any:
             # missing, and to declare those that it describes is all that its import takes.
             for name in ("nms", "qnms"):
                 torch.library.define(f"torchvision::{name}", "(Tensor dets, Tensor scores, float threshold) -> Tensor")
-            return import_module("learn2learn")
+            import learn2learn as library  # noqa: PLC0415
+    return library
 
 
 class Perceptron(torch.nn.Module):

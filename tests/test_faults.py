@@ -33,7 +33,9 @@ ALL = bool(os.environ.get("DLOBENCH_FAULTS"))
 KILLS = 25 if ALL else 4
 FLIPS = 200 if ALL else 60
 DLOBENCH = Path(sys.executable).with_name("dlobench")
-NEW_EVERY_TIME = pytest.mark.parametrize("seed", [time.time_ns()])  # a failed test tells it in its name
+# A failed test tells it in its name. Parallel workers of pytest-xdist collect the same one.
+SEED = int(os.environ.get("PYTEST_XDIST_TESTRUNUID", f"{time.time_ns():x}"), 16)
+NEW_EVERY_TIME = pytest.mark.parametrize("seed", [SEED])
 ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1"}
 
 
