@@ -50,10 +50,17 @@ def normalised(of: Recorded, name: str, base: str | None) -> Interval:
     return interval(above.values, below.values, seeds, domains)
 
 
-def forest(axes: Axes, found: dict[str, Interval], unit: float, names: list[str]) -> None:
-    """Draws a row a model: estimate and interval, times `unit`."""
-    for name, one in found.items():
-        across(axes, names.index(name), one, look(name), unit=unit, zero=False)
+def coverage(axes: Axes, found: dict[str, dict[str, Interval]], names: list[str]) -> None:
+    """Draws a row a model: the share of truths in the central interval of each level, and dashed what it should be."""
+    for i, (metric, level) in enumerate(LEVELS.items()):
+        for at, name in enumerate(names):
+            across(axes, at + 0.3 * (i - 0.5), found[metric][name], look(name), unit=100, zero=False)
+        axes.axvline(level, color="black", linewidth=0.8, linestyle="--")
+    rows(axes, names)
+
+
+def rows(axes: Axes, names: list[str]) -> None:
+    """Names the rows."""
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.5, -0.5)
 
@@ -79,9 +86,7 @@ def draw(results: Path, out: Path) -> None:
             }
             for metric in LEVELS
         }
-        for metric, level in LEVELS.items():
-            forest(row[0], covered[metric], 100, sampling)
-            row[0].axvline(level, color="black", linewidth=0.8, linestyle="--")
+        coverage(row[0], covered, sampling)
         for panel, (which, said) in zip(row[1:3], RANKS.items(), strict=True):
             for name in sampling:
                 shares = histogram(of, name, horizon, which)
@@ -92,14 +97,16 @@ def draw(results: Path, out: Path) -> None:
             panel.set_xlabel(f"{said}, %" if horizon == horizons[-1] else "")
             panel.set_ylim(0, None)
         scores = {name: normalised(here, name, base) for name in of.names}
-        forest(row[3], scores, 1, of.names)
+        for at, one in enumerate(scores.values()):
+            across(row[3], at, one, look(of.names[at]), zero=False)
+        rows(row[3], of.names)
         row[3].axvline(1, color="black", linewidth=0.8, linestyle="--")
         row[3].axvline(0, color="black", linewidth=0.8)
         row[0].set_ylabel(f"n = {horizon}")
         for name in of.names:
             cells = [shown(covered[metric][name], 100, 1) if name in sampling else "–" for metric in LEVELS]
             table.append([name, str(horizon), *cells, shown(scores[name], 1)])
-    axes[-1, 0].set_xlabel("truth in the central 50 and 90 %, %")
+    axes[-1, 0].set_xlabel("truth in the central 50 % (upper)\nand 90 % (lower), %")
     axes[-1, 3].set_xlabel(f"(energy score − floor) /\nthat of {base or 'persistence'}")
     figure.legend(*axes[0, 1].get_legend_handles_labels(), loc="outside upper center", ncols=len(sampling))
     save(figure, "calibration", out, f"{of.footnote()}; dashed: calibrated, and as good as {base or 'persistence'}")

@@ -10,6 +10,7 @@ from importlib import import_module
 from pathlib import Path
 
 import bias
+import calibration
 import numpy as np
 import ood
 import pareto
@@ -208,6 +209,13 @@ def test_laws_and_changes_are_those_of_the_records(swept: Path) -> None:
     doubled = changes[1000, 1, "all domains", "mlp (absolute)"]
     assert doubled.estimate == pytest.approx(1.0) and doubled.domains == 18
     assert changes[1000, 1, "flexible", "gnn"].domains == 6
+
+
+def test_scores_of_samples_are_set_beside_the_floor_and_the_gaussian(swept: Path) -> None:
+    of = recorded.read(swept, "distribution").where(horizon=4)
+    assert calibration.normalised(of, "flow", "mlp_gaussian").estimate == pytest.approx(0.5)  # half of its errors
+    assert calibration.normalised(of, "flow", None).estimate == pytest.approx(0.75 / 2.75)  # of persistence's
+    assert calibration.histogram(of, "flow", 4, "ranks") == pytest.approx(np.ones(20))
 
 
 def test_a_known_effect_is_recovered_and_none_is_found_where_none_is() -> None:
