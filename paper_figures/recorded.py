@@ -28,6 +28,7 @@ from dlobench.world.simulate import PUSHES
 HERE = Path(__file__).parent
 SCALES = ("paper", "small", "mini")  # the largest that there is
 MM = 1e3  # mm in a metre
+SUGGESTED = {"meta": "gnn_context", "ood": "gnn_context", "distribution": "mlp_gaussian"}  # to be run, else `mlp`
 CHARACTERS = 19  # of a footnote that an inch holds
 STYLE: Any = {
     "font.size": 8.0,
@@ -125,7 +126,7 @@ def choose(records: Sequence[Record], *tasks: str) -> list[Record]:
     """
     task = next((task for task in tasks if any(record.task == task for record in records)), None)
     if task is None:
-        raise missing(tasks[0], "mlp")
+        raise missing(tasks[0], SUGGESTED.get(tasks[0], "mlp"))
     found = [record for record in records if record.task == task]
     scale = next(scale for scale in SCALES if any(record.scale == scale for record in found))
     found = [record for record in found if record.scale == scale]
