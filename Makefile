@@ -5,7 +5,7 @@ PEERS := .peers
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: help run test lint type unit leaderboard faults validate bench bench-data bench-world bench-step bench-models peers small docs docs-serve clean
+.PHONY: help run test lint type unit leaderboard faults validate bench bench-data bench-world bench-step bench-models figures peers small docs docs-serve clean
 
 help:  ## Show what can be made
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 10
@@ -71,6 +71,9 @@ $(PEERS)/installed: $(VENV)/installed
 	$(PEERS)/bin/python -m pip install --quiet --no-deps torchvision==0.28.0 gym==0.26.2 gym-notices==0.1.0 cloudpickle qpth==0.0.18
 	$(PEERS)/bin/python -m pip install --quiet --no-deps --editable .
 	touch $@
+
+figures: $(VENV)/installed  ## The paper's figures and those beyond it, into paper_figures/out (ARGS="--out FOLDER")
+	$(BIN)/python paper_figures $(ARGS)
 
 small: $(VENV)/installed  ## The board's records at scale small: hours, and it says how many (ARGS="--plan" only says it)
 	$(BIN)/python leaderboard/small.py $(ARGS)

@@ -6,10 +6,11 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from drawing import main, save
 from fig3 import common
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from recorded import Recorded, across, look, main, markdown, missing, read, save, shown
+from recorded import Recorded, across, look, markdown, missing, read, shown
 
 from dlobench.bench.matrix import grid
 from dlobench.bench.statistics import Interval, interval

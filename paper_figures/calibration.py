@@ -6,9 +6,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from drawing import main, save
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from recorded import Recorded, across, label, look, main, markdown, missing, read, save, shown
+from recorded import Recorded, across, label, look, markdown, missing, read, shown
 
 from dlobench.bench.matrix import grid
 from dlobench.bench.record import DomainScore

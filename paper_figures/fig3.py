@@ -6,10 +6,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from drawing import main, save
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from recorded import MM, Recorded, errorbar, main, read, save
+from recorded import MM, Recorded, errorbar, read
 
 from dlobench.bench.matrix import grids, intervals_of
 from dlobench.bench.scores import with_all

@@ -5,8 +5,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from drawing import main, save
 from matplotlib.figure import Figure
-from recorded import MM, Recorded, across, look, main, markdown, missing, read, save, shown
+from recorded import MM, Recorded, across, look, markdown, missing, read, shown
 
 from dlobench.bench.matrix import grid
 from dlobench.bench.plugins import load_task

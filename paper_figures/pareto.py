@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from drawing import main, save
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from recorded import MM, Recorded, errorbar, label, log_mm, look, main, markdown, read, save, shown
+from recorded import MM, Recorded, errorbar, label, log_mm, look, markdown, read, shown
 
 from dlobench.bench.statistics import Interval
 

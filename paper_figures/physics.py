@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from drawing import main, save
 from matplotlib.figure import Figure
-from recorded import Recorded, across, choose, everything, look, main, markdown, missing, save, scored, shown
+from recorded import Recorded, across, choose, everything, look, markdown, missing, scored, shown
 
 from dlobench.bench.matrix import grid
 from dlobench.bench.statistics import LEVEL, Array, Interval, counts

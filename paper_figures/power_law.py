@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from drawing import main, save
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from recorded import MM, Recorded, across, look, main, markdown, missing, read, save, shown
+from recorded import MM, Recorded, across, look, markdown, missing, read, shown
 
 from dlobench.bench.matrix import Matrix, grids
 from dlobench.bench.statistics import LEVEL, Array, Interval, interval, resampled

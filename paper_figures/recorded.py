@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
-import sys
-import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
 from dlobench.bench.matrix import grids, intervals_of
@@ -22,27 +17,12 @@ from dlobench.bench.record import Record
 from dlobench.bench.results import read_all
 from dlobench.bench.scores import scores
 from dlobench.bench.statistics import Interval
-from dlobench.errors import RunError, UsageError
+from dlobench.errors import RunError
 from dlobench.world.simulate import PUSHES
 
-HERE = Path(__file__).parent
 SCALES = ("paper", "small", "mini")  # the largest that there is
 MM = 1e3  # mm in a metre
 SUGGESTED = {"meta": "gnn_context", "ood": "gnn_context", "distribution": "mlp_gaussian"}  # to be run, else `mlp`
-CHARACTERS = 19  # of a footnote that an inch holds
-STYLE: Any = {
-    "font.size": 8.0,
-    "axes.titlesize": 8.0,
-    "axes.grid": True,
-    "grid.alpha": 0.3,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "legend.frameon": False,
-    "lines.markersize": 4.5,
-    "lines.linewidth": 1.2,
-    "pdf.fonttype": 42,
-    "savefig.dpi": 200,
-}
 
 # What a model is drawn as in every figure: Okabe and Ito's colours, a marker and a line that tell without colour
 _COLOURS = ("#000000", "#E69F00", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9")
@@ -222,29 +202,3 @@ def markdown(path: Path, rows: Sequence[Sequence[str]], note: str) -> None:
     header, *rest = ["| " + " | ".join(row) + " |" for row in rows]
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join([header, "| " + " | ".join("---" for _ in rows[0]) + " |", *rest, "", note, ""]))
-
-
-def save(figure: Figure, name: str, out: Path, note: str = "") -> None:
-    """Writes a figure as PDF and PNG, with a footnote."""
-    out.mkdir(parents=True, exist_ok=True)
-    note = textwrap.fill(note, int(CHARACTERS * figure.get_figwidth()))
-    figure.supxlabel(note, fontsize=6.5, color="0.3", x=0.01, ha="left")
-    figure.draw_without_rendering()
-    figure.set_layout_engine("none")  # is laid out, once for both files
-    figure.savefig(out / f"{name}.pdf", metadata={"CreationDate": None})
-    figure.savefig(out / f"{name}.png")
-
-
-def main(draw: Callable[[Path, Path], None], arguments: Sequence[str] | None = None) -> int:
-    """Runs a script that draws from a results folder into another; returns 1, or 2, and says why where it cannot."""
-    parser = argparse.ArgumentParser(description=sys.modules[draw.__module__].__doc__)
-    parser.add_argument("--out", type=Path, default=HERE / "out", help="folder of the figures")
-    parser.add_argument("--results", type=Path, default=HERE.parent / "leaderboard" / "results", help="records")
-    options = parser.parse_args(arguments)
-    try:
-        with mpl.rc_context(STYLE):
-            draw(options.results, options.out)
-    except (RunError, UsageError) as error:
-        print(f"{Path(sys.modules[draw.__module__].__file__ or '').name}: {error}", file=sys.stderr)
-        return error.exit_code
-    return 0

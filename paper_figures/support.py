@@ -5,9 +5,10 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from drawing import main, save
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from recorded import MM, Recorded, adapting, errorbar, log_mm, look, main, markdown, missing, read, save, shown
+from recorded import MM, Recorded, adapting, errorbar, log_mm, look, markdown, missing, read, shown
 
 from dlobench.bench.matrix import difference
 from dlobench.bench.statistics import Interval

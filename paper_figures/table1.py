@@ -6,7 +6,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from recorded import Recorded, adapting, label, main, markdown, read, shown
+from drawing import main
+from recorded import Recorded, adapting, label, markdown, read, shown
 
 from dlobench.bench.statistics import Interval
 

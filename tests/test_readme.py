@@ -106,7 +106,6 @@ MAKES_RUN = "dlobench run --task meta --model maml --K 10"  # what `make run` ca
 NOT_HERE = {
     ".venv/bin/pre-commit install": "writes into .git",
     "export RAY_AUTH_MODE=token": "is the shell's",
-    "make figures": "comes with paper_figures/",
     "ray get-auth-token --generate > /dev/null": "writes into the user's home",
     "ray start --head --port 6379": "leaves processes behind; test_ray.py has its own",
     "ray stop": "ends every Ray of the user",

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import bias
 import calibration
+import drawing
 import numpy as np
 import ood
 import pareto
@@ -84,14 +85,16 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+def coarse(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
     """Draws few pixels, which takes less time."""
-    monkeypatch.setitem(recorded.STYLE, "savefig.dpi", 40)
+    style = tmp_path_factory.mktemp("style") / "coarse.mplstyle"
+    style.write_text(drawing.STYLE.read_text().replace("savefig.dpi: 200", "savefig.dpi: 40"))
+    monkeypatch.setattr(drawing, "STYLE", style)
 
 
 def drawn(script: str, results: Path, out: Path, capsys: pytest.CaptureFixture[str]) -> str | None:
     """Runs a script; returns what it lacks, or None once its files are there and none is empty."""
-    status = recorded.main(import_module(script).draw, ["--results", str(results), "--out", str(out)])
+    status = drawing.main(import_module(script).draw, ["--results", str(results), "--out", str(out)])
     said = capsys.readouterr().err
     if status:
         assert status == 1 and said.count("\n") == 1 and not list(out.glob("*"))

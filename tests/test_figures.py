@@ -1,0 +1,91 @@
+"""Tests the figures of scenes: what they show is what their words say, and all scripts are found and called."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+
+import drawing
+import fig2
+import fig4
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from dlobench.domain import MATERIALS
+from dlobench.errors import RunError
+from dlobench.world import canvas
+
+FOLDER = Path(__file__).parent.parent / "paper_figures"
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Draws few pixels, which takes less time."""
+    style = tmp_path_factory.mktemp("style") / "coarse.mplstyle"
+    style.write_text(drawing.STYLE.read_text().replace("savefig.dpi: 200", "savefig.dpi: 40"))
+    monkeypatch.setattr(drawing, "STYLE", style)
+
+
+@pytest.mark.parametrize("name", ["fig1", "fig2", "fig4", "fig5"])
+def test_it_is_drawn_the_same_each_time(name: str, tmp_path: Path) -> None:
+    if name == "fig4":
+        try:
+            canvas.load()
+        except RunError as error:
+            pytest.skip(str(error))
+    for folder in ("one", "other"):
+        assert drawing.main(import_module(name).draw, ["--out", str(tmp_path / folder)]) == 0
+    one, other = (imread(tmp_path / folder / f"{name}.png") for folder in ("one", "other"))
+    assert np.array_equal(one, other)
+    assert len(np.unique(one.reshape(-1, one.shape[-1]), axis=0)) > 10, "not one colour"
+    assert (tmp_path / "one" / f"{name}.pdf").read_bytes() == (tmp_path / "other" / f"{name}.pdf").read_bytes()
+
+
+def test_domains_of_fig_2_differ_in_material_alone_and_meet_the_same_pusher() -> None:
+    first, *others = fig2.domains()
+    assert [each.material for each in (first, *others)] == list(MATERIALS)
+    for other in others:
+        same = replace(
+            other,
+            material=first.material,
+            bending_stiffness=first.bending_stiffness,
+            yield_curvature=first.yield_curvature,
+        )
+        assert same == first
+    seen = [fig2.rolled(domain) for domain in (first, *others)]
+    for dlo, pusher in seen:
+        np.testing.assert_allclose(pusher, seen[0][1], atol=2e-3, err_msg="the pusher goes where it is told")
+        np.testing.assert_allclose(dlo[0], seen[0][0][0], atol=1e-4, err_msg="the same start")
+    ends = [dlo[-1] for dlo, _ in seen]
+    assert np.linalg.norm(ends[0] - ends[1], axis=-1).mean() > 0.01, "the material matters"
+
+
+def test_without_opengl_one_sentence_says_so(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse() -> None:
+        raise RunError("there is no OpenGL to draw with")
+
+    monkeypatch.setattr(canvas, "load", refuse)
+    assert drawing.main(fig4.draw, ["--out", str(tmp_path / "out")]) == 1
+    assert capsys.readouterr().err == "fig4.py: there is no OpenGL to draw with\n"
+
+
+def test_one_that_fails_is_named_and_the_others_are_drawn(tmp_path: Path) -> None:
+    for name, code in {"good": "print('drawn')", "bad": "raise SystemExit(1)", "last": "print('drawn')"}.items():
+        (tmp_path / f"{name}.py").write_text(code)
+    (tmp_path / "__main__.py").write_text((FOLDER / "__main__.py").read_text())
+    done = subprocess.run([sys.executable, str(tmp_path)], capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and done.stderr == "not drawn: bad.py\n"
+    assert "good.py" in done.stdout and "last.py" in done.stdout
+
+
+def test_every_script_of_the_folder_is_called() -> None:
+    for path in sorted(FOLDER.glob("*.py")):
+        is_script = 'if __name__ == "__main__":' in path.read_text() and path.stem != "__main__"
+        library = path.stem in ("__main__", "drawing", "recorded", "scenes")
+        assert is_script != library, path
