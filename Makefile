@@ -27,14 +27,15 @@ lint: $(VENV)/installed  ## Ruff: rules and format
 type: $(VENV)/installed  ## Mypy, strict
 	$(BIN)/mypy
 
-unit: $(VENV)/installed  ## The tests alone
-	$(BIN)/pytest --durations=8
+unit: $(VENV)/installed  ## The tests alone, a file at a time on every core
+	$(BIN)/pytest --numprocesses auto --dist loadfile --durations=8
 
 leaderboard: $(VENV)/installed  ## Verify the committed records, rebuild board and page, and fail on a difference
 	$(BIN)/dlobench leaderboard verify
 	$(BIN)/dlobench leaderboard build
 	$(BIN)/python leaderboard/top.py
-	git diff --exit-code --stat -- leaderboard README.md
+	$(BIN)/python paper_figures/findings.py --out docs/tables
+	git diff --exit-code --stat -- leaderboard README.md docs/tables
 
 faults: $(VENV)/installed  ## Kills, flipped bytes, full disks, lost nodes: all rounds (2 minutes)
 	DLOBENCH_FAULTS=1 $(BIN)/pytest -m faults --durations=8

@@ -1,0 +1,94 @@
+"""Tests what decides the paper's findings: known ratios are recovered, and verdicts follow from intervals alone."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import findings
+import pytest
+from findings import Answer
+from recorded import read
+from test_recorded_figures import RESULTS, sweep
+
+from dlobench.bench.results import write
+from dlobench.bench.statistics import Interval
+from dlobench.errors import RunError
+
+PAGE = Path(__file__).parent.parent / "docs" / "tables" / "findings.md"
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    results = tmp_path_factory.mktemp("swept")
+    write(sweep("horizon_sweep", "mlp", 0.05, 0.30), results)
+    return results
+
+
+def test_growth_with_the_horizon_and_gain_by_data_are_those_of_the_records(swept: Path) -> None:
+    of = read(swept, "horizon_sweep")
+    (grows,) = findings.of_horizon(of)
+    assert grows.found.estimate == pytest.approx(4**0.7, rel=0.1)
+    assert grows.verdict == "confirmed" and "n = 4 ÷ at n = 1" in grows.statistic
+    few, many = findings.of_data(of)
+    assert few.found.estimate == pytest.approx(10**0.3, rel=0.1) and few.found.domains == 18
+    assert many.found.estimate == pytest.approx(10**0.3, rel=0.15) and many.found.domains == 3
+    assert {few.verdict, many.verdict} == {"undecided"}, "the paper's step is from 10⁵ to 10⁶"
+
+
+def test_materials_are_paired_by_attachment_and_bodies(swept: Path) -> None:
+    of = read(swept, "horizon_sweep")
+    frame = of.frame.copy()
+    frame.loc[frame["material"] == "flexible", "euclidean"] *= 3
+    before, after = (list(findings.of_material(each)) for each in (of, replace(of, frame=frame)))
+    for one, other in zip(before, after, strict=True):
+        assert one.found.domains == 6
+        assert other.found.estimate == pytest.approx(3 * one.found.estimate)
+
+
+@pytest.mark.parametrize(
+    ("found", "unit", "verdict"),
+    [
+        (Interval(1.5, 1.1, 2.0, 5, 1), "×", "confirmed"),
+        (Interval(1.5, 0.9, 2.0, 5, 1), "×", "undecided"),
+        (Interval(0.5, 0.4, 0.6, 5, 1), "×", "contradicted"),
+        (Interval(0.5, 0.4, 0.6, 5, 1), "10⁻⁴ m²", "confirmed"),
+        (Interval(-0.5, -0.6, -0.4, 5, 1), "10⁻⁴ m²", "contradicted"),
+        (Interval(0.5, None, None, 1, 1), "10⁻⁴ m²", "undecided"),
+    ],
+)
+def test_a_verdict_follows_from_the_interval(found: Interval, unit: str, verdict: str) -> None:
+    assert Answer("", "", found, unit).verdict == verdict
+    assert Answer("", "", found, unit, decides=False).verdict == "undecided"
+
+
+def test_maml_is_held_against_multitask_as_on_the_board() -> None:
+    meta = read(RESULTS, "meta")
+    (one,) = [a for a in findings.of_learning(meta) if "multitask" in a.statistic and "K = 10" in a.statistic]
+    means = {
+        name: meta.where(name=name, K=10, trajectories=meta.frame["trajectories"].max()).frame["mse"].mean()
+        for name in ("maml", "multitask")
+    }
+    assert one.found.estimate == pytest.approx(means["multitask"] - means["maml"], rel=1e-6)
+
+
+def test_nothing_to_go_by_says_what_to_run(tmp_path: Path) -> None:
+    with pytest.raises(RunError, match="dlobench run --task horizon_sweep"):
+        findings.answers(tmp_path)
+
+
+def test_the_page_has_the_table_of_the_committed_records(tmp_path: Path) -> None:
+    findings.draw(RESULTS, tmp_path)
+    assert PAGE.read_text() == (tmp_path / "findings.md").read_text(), "make leaderboard"
+
+
+def test_the_page_answers_all_five() -> None:
+    text = (PAGE.parent.parent / "findings.md").read_text()
+    titles = re.findall(r"^## ([1-5])\. .*: (confirmed|contradicted|undecided)", text, flags=re.M)
+    assert [number for number, _ in titles] == list("12345")
+    verdicts: dict[str, list[str]] = {}
+    for one in findings.answers(RESULTS)[0]:
+        verdicts.setdefault(one.finding[0], []).extend([one.verdict] if one.decides else [])
+    for number, verdict in titles:
+        assert verdict in (verdicts.get(number) or ["undecided"]), f"finding {number} has another verdict in the table"
