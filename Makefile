@@ -34,8 +34,8 @@ leaderboard: $(VENV)/installed  ## Verify the committed records, rebuild board a
 	$(BIN)/dlobench leaderboard verify
 	$(BIN)/dlobench leaderboard build
 	$(BIN)/python leaderboard/top.py
-	$(BIN)/python paper_figures/findings.py --out docs/tables
-	git diff --exit-code --stat -- leaderboard README.md docs/tables
+	$(BIN)/python paper_figures/findings.py --out paper_figures/tables
+	git diff --exit-code --stat -- leaderboard README.md paper_figures/tables
 
 faults: $(VENV)/installed  ## Kills, flipped bytes, full disks, lost nodes: all rounds (2 minutes)
 	DLOBENCH_FAULTS=1 $(BIN)/pytest -m faults --durations=8
