@@ -186,7 +186,9 @@ def call(command: str, called: set[str]) -> None:
     elif first == "python":  # scripts have tests of their own; here they have to be there, and to know their options
         assert (ROOT / rest[0]).exists(), command
         if asked := options(command):
-            told = subprocess.run([sys.executable, rest[0], "--help"], cwd=ROOT, capture_output=True, text=True)
+            told = subprocess.run(
+                [sys.executable, rest[0], "--help"], cwd=ROOT, capture_output=True, text=True, check=True
+            )
             assert all(option in told.stdout for option in asked), command
     elif first == "pip":
         (extra,) = re.findall(r"^pip install 'dlobench\[(\w+)\]'$", command)
