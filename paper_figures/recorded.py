@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import numpy as np
 import pandas as pd
@@ -22,6 +23,7 @@ from dlobench.world.simulate import PUSHES
 
 SCALES = ("paper", "small", "mini")  # the largest that there is
 MM = 1e3  # mm in a metre
+USUAL_N = {"maml": 5, "maml_learn2learn": 5}  # tasks a meta step, which the paper's Table 1 tells apart
 SUGGESTED = {"meta": "gnn_context", "ood": "gnn_context", "distribution": "mlp_gaussian"}  # to be run, else `mlp`
 
 # What a model is drawn as in every figure: Okabe and Ito's colours, a marker and a line that tell without colour
@@ -40,8 +42,9 @@ def place(name: str) -> tuple[int, str]:
 
 
 def look(name: str) -> dict[str, Any]:
-    """Returns colour, marker and line style of a model, the same in every figure."""
+    """Returns colour, marker and line style of a model, the same in every figure, of an unknown one by its name."""
     at, _ = place(name)
+    at += crc32(name.encode()) if name not in ORDER else 0
     return {
         "color": _COLOURS[at % len(_COLOURS)],
         "marker": _MARKERS[at % len(_MARKERS)],
@@ -50,10 +53,12 @@ def look(name: str) -> dict[str, Any]:
 
 
 def label(record: Record) -> str:
-    """Returns what a model is called: its name and, where it is not the usual one, its representation."""
+    """Returns what a model is called: its name and, where they are not the usual ones, representation and N."""
     hyper = record.provenance.hyperparameters
     apart = [str(hyper["target"])] if hyper.get("target", "displacement") != "displacement" else []
     apart += ["raw"] if hyper.get("normalise") is False else []
+    usual = USUAL_N.get(record.model)
+    apart += [f"N = {hyper['N']}"] if usual is not None and hyper.get("N", usual) != usual else []
     return record.model + (f" ({', '.join(apart)})" if apart else "")
 
 

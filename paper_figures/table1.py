@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from drawing import main
-from recorded import Recorded, adapting, label, markdown, read, shown
+from recorded import USUAL_N, Recorded, adapting, label, markdown, read, shown
 
 from dlobench.bench.statistics import Interval
 
@@ -80,9 +80,12 @@ def draw(results: Path, out: Path) -> None:
     of = read(results, "meta")
     table = rows(of)
     sizes = ", ".join(map(str, sorted(of.frame["trajectories"].unique())))
+    told = "".join(
+        f"N of {name} is {N}, unless a row says otherwise. " for name, N in USUAL_N.items() if name in of.names
+    )
     note = (
         f"Mean squared error of a coordinate 4 pushes ahead, 10⁻⁴ m²; {sizes} trajectories a training domain; "
-        f"{of.footnote()}. Models with one number never adapt. "
+        f"{of.footnote()}. Models with one number never adapt. {told}"
         "Of the paper only the order of its numbers is comparable: its simulator is another one."
     )
     markdown(out / "table1.md", table, note)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from importlib import import_module
+from itertools import combinations
 from pathlib import Path
 
 import bias
@@ -169,6 +170,25 @@ def test_the_largest_scale_and_the_newest_configuration_with_most_seeds_are_chos
     assert recorded.choose(others[2:], "rollout", "meta") == others[2:]
     with pytest.raises(RunError, match="`dlobench run --task rollout"):
         recorded.choose(others, "rollout")
+
+
+def test_models_that_are_not_known_beforehand_are_told_apart() -> None:
+    looks = [recorded.look(name) for name in (*recorded.ORDER, "mine", "yours", "mlp (absolute, raw)", "maml (N = 50)")]
+    assert all(one != other for one, other in combinations(looks, 2))
+    assert recorded.look("mine") == recorded.look("mine")
+
+
+def test_mamls_of_another_n_have_a_row_of_their_own(tmp_path: Path) -> None:
+    """The paper's Table 1 has a row for N = 5 and one for N = 50."""
+    five = next(one for one in recorded.everything(RESULTS) if one.task == "meta" and one.model == "maml")
+    hyper = five.provenance.hyperparameters
+    assert hyper["N"] == recorded.USUAL_N["maml"]
+    about = five.provenance.model_copy(update={"hyperparameters": hyper | {"N": 50}})
+    for one in (five, five.model_copy(update={"config": "ffffffff", "provenance": about})):
+        write(one, tmp_path / "results")
+    table1.draw(tmp_path / "results", tmp_path)
+    text = (tmp_path / "table1.md").read_text()
+    assert "| maml |" in text and "| maml (N = 50) |" in text and "N of maml is 5, unless" in text
 
 
 def test_a_power_law_is_recovered_with_its_interval() -> None:
