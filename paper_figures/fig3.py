@@ -104,8 +104,9 @@ def draw(results: Path, out: Path) -> None:
     axes[1, -1].legend(
         [*materials, paper], [*MATERIALS, "the paper's medians,\n10⁶ pushes"], loc="upper left", bbox_to_anchor=(1, 1)
     )
-    few, every = with_all(of.frame, "trajectories")["domain"].nunique(), of.frame["domain"].nunique()
-    hollow = f"; hollow: the {few} domains that have every size" if few < every else ""
+    few = {with_all(of.where(name=name).frame, "trajectories")["domain"].nunique() for name in of.names}
+    few -= {0, of.frame["domain"].nunique()}  # which are not drawn hollow
+    hollow = f"; hollow: the {' or '.join(map(str, sorted(few)))} domains that have every size" if few else ""
     pushes = int(of.where(trajectories=common(of)).frame["pushes"].iloc[0])
     save(figure, "fig3", out, f"{of.footnote()}{hollow}; below after {pushes:,} pushes; means of domains")
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -80,11 +81,15 @@ def stacked(cells: dict[int, Matrix]) -> tuple[Array, Array, tuple[str, ...], tu
 
 
 def laws(of: Recorded) -> dict[tuple[str, int], PowerLaw]:
-    """Returns the power law of each model at each horizon."""
+    """Returns the power law of each model at each horizon that has enough for one."""
     cells: dict[tuple[str, int], dict[int, Matrix]] = {}
     for (name, horizon, pushes), one in grids(of.frame, "euclidean", ["name", "horizon", "pushes"]).items():
         cells.setdefault((name, int(horizon)), {})[int(pushes)] = one
-    return {key: fit(*stacked(found)) for key, found in cells.items()}
+    out = {}
+    for key, found in cells.items():
+        with suppress(UsageError):  # after failed fits, say: the others have theirs, and `draw` tells whose is missing
+            out[key] = fit(*stacked(found))
+    return out
 
 
 def said(found: Interval) -> str:
@@ -100,7 +105,7 @@ def said(found: Interval) -> str:
 
 def curves(axes: Axes, of: Recorded, found: dict[tuple[str, int], PowerLaw], horizon: int) -> None:
     """Draws what was measured of each domain's typical error, the law within it and, thinner, beyond it."""
-    for name in of.where(horizon=horizon).names:
+    for name in [name for name in of.names if (name, horizon) in found]:
         rows, how = of.where(name=name, horizon=horizon).frame, look(name)
         law = found[name, horizon]
         n = np.sort(rows["pushes"].unique()).astype(float)
@@ -139,19 +144,21 @@ def draw(results: Path, out: Path) -> None:
         raise missing(of.task, "mlp", what="record with several train sizes")
     of = of.where(name=names)
     found, horizons = laws(of), sorted(map(int, of.frame["horizon"].unique()))
+    lacking = [f"{name} at n = {n}" for name in names for n in horizons if (name, n) not in found]
+    told = f"; too few sizes and domains for a law: {', '.join(lacking)}" if lacking else ""
     figure = Figure(figsize=(1.5 + 1.9 * len(horizons), 4.6), layout="constrained")
     axes = figure.subplots(2, len(horizons), squeeze=False, sharey="row", height_ratios=(3, 0.3 + 0.25 * len(of.names)))
     for (top, bottom), horizon in zip(axes.T, horizons, strict=True):
         curves(top, of, found, horizon)
         forest(bottom, of, found, horizon)
     axes[0, 0].set_ylabel("Euclidean error of the typical domain, mm")
-    save(figure, "power_law", out, f"{of.footnote()}; thin: beyond what was measured; grey: {MM * TARGET:g} mm")
+    save(figure, "power_law", out, f"{of.footnote()}; thin: beyond what was measured; grey: {MM * TARGET:g} mm{told}")
     rows = [["model", "n", "exponent b", f"pushes for {MM * TARGET:g} mm"]]
     rows += [[name, str(n), shown(one.exponent, 1, 3), said(one.pushes)] for (name, n), one in sorted(found.items())]
     fitted = ", ".join(f"{size:,}" for size in sorted(of.frame["pushes"].unique()))
     note = (
         f"error = a·n^−b of the typical domain, fitted to {fitted} pushes and extrapolated; not reached: within "
-        f"{ABSURD:.0e} pushes; {of.footnote()}."
+        f"{ABSURD:.0e} pushes; {of.footnote()}{told}."
     )
     markdown(out / "power_law.md", rows, note)
 

@@ -212,6 +212,19 @@ def test_a_power_law_is_recovered_with_its_interval() -> None:
     assert min(held.values()) >= 34
 
 
+def test_a_model_without_sizes_at_a_horizon_keeps_no_other_from_its_law(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gnn = sweep("horizon_sweep", "gnn", 0.02, 0.2)
+    cells = [cell for cell in gnn.cells if cell.horizon == 1 or cell.trajectories == SIZES[0]]
+    for one in (sweep("horizon_sweep", "mlp", 0.05, 0.3), gnn.model_copy(update={"cells": cells})):
+        write(one, tmp_path / "results")
+    assert drawn("power_law", tmp_path / "results", tmp_path / "out", capsys) is None
+    text = (tmp_path / "out" / "power_law.md").read_text()
+    assert [f"| {model} | {n} |" in text for model in ("mlp", "gnn") for n in HORIZONS] == [True, True, True, False]
+    assert "too few sizes and domains for a law: gnn at n = 4" in text
+
+
 def test_what_does_not_fall_never_reaches_the_target() -> None:
     sizes, names = np.array([1e3, 1e4]), tuple("abcdef")
     flat = 0.01 * np.exp(1e-3 * np.random.default_rng(0).normal(size=(2, 1, 6)))
