@@ -231,8 +231,8 @@ def _check_out(out: Path, max_minutes: float | None) -> None:
         raise UsageError(f"--out {out} is not a folder")
     if out.is_dir():
         results.read_all(out)  # a foreign file would spoil the board
-    if max_minutes is not None and not math.isfinite(max_minutes):
-        raise UsageError(f"--max-minutes {max_minutes} is not a finite number of minutes")
+    if max_minutes is not None and not (math.isfinite(max_minutes) and max_minutes > 0):
+        raise UsageError(f"--max-minutes {max_minutes:g} is not a finite number of minutes above 0")
 
 
 def _command() -> str:

@@ -528,3 +528,10 @@ def test_a_reader_that_has_seen_enough_is_no_failure_worth_a_line() -> None:
         process.stdout.close()  # as `head` does
         assert process.stderr.read() == ""
     assert process.returncode == 1
+
+
+@pytest.mark.parametrize("minutes", ["0", "inf"])
+def test_a_budget_of_no_minutes_is_refused(minutes: str, call: Call, tmp_path: Path) -> None:
+    done = call("run", "--task", "meta", "--model", "ridge", "--out", tmp_path / "out", "--max-minutes", minutes)
+    assert done.code == 2
+    assert f"--max-minutes {minutes} is not a finite number of minutes above 0" in done.err
