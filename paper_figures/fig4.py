@@ -1,4 +1,4 @@
-"""Draws Fig. 4: colour and depth of one scene, in every style of the renderer."""
+"""Draws Fig. 4: one scene in every style of the renderer, and its depth, by both cameras."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from drawing import main, save
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
-from scenes import trajectory
 
 from dlobench.domain import typical
 from dlobench.world import canvas
@@ -22,7 +22,9 @@ PUSHES, SEED = 4, 11
 def draw(results: Path, out: Path) -> None:
     """Writes fig4.pdf and fig4.png; reads no record. Raises `RunError` where there is no OpenGL to draw with."""
     del results
-    canvas.load()  # before anything else imports MuJoCo
+    canvas.load()  # before anything else imports MuJoCo, whose import fails where MUJOCO_GL names what is not there
+    from scenes import trajectory  # noqa: PLC0415
+
     from dlobench.world.render import frames  # noqa: PLC0415
 
     domain = typical(material="soft", attachment="movable", length=0.16, rigid_objects=3)
@@ -43,23 +45,24 @@ def draw(results: Path, out: Path) -> None:
         return np.asarray(frame)
 
     names = styles.names()
-    figure = Figure(figsize=(2.1 * len(names), 6.6), layout="constrained")
-    panels = figure.subplots(3, len(names), squeeze=False)
-    for column, name in zip(panels.T, names, strict=True):
-        look = styles.load(name)
-        column[0].imshow(picture(look, "top"))
-        column[1].imshow(picture(look, "oblique"))
-        shown = column[2].imshow(picture(look, "oblique", depth=True), cmap="cividis")
-        column[0].set_title(name)
-        for axes in column:
-            axes.set_axis_off()
-    bar = figure.colorbar(shown, ax=list(panels[2]), location="bottom", shrink=0.5, aspect=40, pad=0.02)
-    bar.set_label("depth, m")
+    figure = Figure(figsize=(6.8, 3.9), layout="constrained")
+    panels = figure.subplots(len(styles.CAMERAS), len(names) + 1, squeeze=False)
+    for row, camera in zip(panels, styles.CAMERAS, strict=True):
+        for axes, name in zip(row, names, strict=False):
+            axes.imshow(picture(styles.load(name), camera))
+        shown = row[-1].imshow(picture(styles.load(), camera, depth=True), cmap="cividis_r")  # what is near is light
+        bar = figure.colorbar(shown, ax=row[-1], location="bottom", shrink=0.9, aspect=25, pad=0.03)
+        bar.locator = MaxNLocator(4)
+        bar.set_label("depth, m")
+    for axes, title in zip(panels[0], [*names, "depth"], strict=True):
+        axes.set_title(title)
+    for axes in panels.flat:
+        axes.set_axis_off()
     save(
         figure,
         "fig4",
         out,
-        "One state of a soft DLO at a movable end, among three bodies: from above, aslant, and as depth.",
+        "One state of a soft DLO at a movable end, among three bodies, from above and aslant. Depth is the same in each style.",
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -10,7 +11,6 @@ from pathlib import Path
 
 import drawing
 import fig2
-import fig4
 import numpy as np
 import pytest
 from matplotlib.image import imread
@@ -64,15 +64,18 @@ def test_domains_of_fig_2_differ_in_material_alone_and_meet_the_same_pusher() ->
     assert np.linalg.norm(ends[0] - ends[1], axis=-1).mean() > 0.01, "the material matters"
 
 
-def test_without_opengl_one_sentence_says_so(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def refuse() -> None:
-        raise RunError("there is no OpenGL to draw with")
-
-    monkeypatch.setattr(canvas, "load", refuse)
-    assert drawing.main(fig4.draw, ["--out", str(tmp_path / "out")]) == 1
-    assert capsys.readouterr().err == "fig4.py: there is no OpenGL to draw with\n"
+def test_without_opengl_one_sentence_says_so(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, str(FOLDER / "fig4.py"), "--out", str(tmp_path / "out")],
+        env={**os.environ, canvas.VARIABLE: "smoke_signals"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert done.stderr.startswith("fig4.py: MuJoCo cannot draw by MUJOCO_GL=smoke_signals"), done.stderr
+    assert done.stderr.count("\n") == 1, "one sentence, no traceback"
+    assert not (tmp_path / "out").exists()
 
 
 def test_one_that_fails_is_named_and_the_others_are_drawn(tmp_path: Path) -> None:
