@@ -62,7 +62,8 @@ def draw(results: Path, out: Path) -> None:
         figure,
         "fig4",
         out,
-        "One state of a soft DLO at a movable end, among three bodies, from above and aslant. Depth is the same in each style.",
+        "One state of a soft DLO at a movable end, among three bodies, from above and aslant. "
+        "Depth is the same in each style.",
     )
 
 
