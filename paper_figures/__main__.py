@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import subprocess
 import sys
 import time
@@ -17,12 +18,16 @@ def scripts() -> list[Path]:
 
 
 def main(arguments: list[str]) -> int:
-    """Runs all scripts with the same options, tells what each took, and returns 1 if one failed."""
-    failed = []
+    """Runs all scripts with the same options, tells how long each took and what it wrote; returns 1 if one failed."""
+    options = argparse.ArgumentParser(add_help=False)
+    options.add_argument("--out", type=Path, default=HERE / "out")
+    out, failed = options.parse_known_args(arguments)[0].out, []
     for script in scripts():
-        begin = time.perf_counter()
+        begin = time.time()
         done = subprocess.run([sys.executable, str(script), *arguments], check=False)
-        print(f"{script.name:16} {'drawn' if done.returncode == 0 else 'FAILED'}, {time.perf_counter() - begin:.0f} s")
+        written = sorted(path.name for path in out.glob("*") if path.stat().st_mtime >= begin)
+        verdict = "FAILED" if done.returncode else "drawn"
+        print(f"{script.name:16} {verdict}, {time.time() - begin:.0f} s {' '.join(written)}".rstrip(), flush=True)
         failed += [script.name] if done.returncode else []
     if failed:
         print(f"not drawn: {', '.join(failed)}", file=sys.stderr)

@@ -82,12 +82,20 @@ def test_without_opengl_one_sentence_says_so(tmp_path: Path) -> None:
 
 
 def test_one_that_fails_is_named_and_the_others_are_drawn(tmp_path: Path) -> None:
-    for name, code in {"good": "print('drawn')", "bad": "raise SystemExit(1)", "last": "print('drawn')"}.items():
+    scripts = {"good": "open('fresh.png', 'w')", "bad": "raise SystemExit(1)", "last": ""}
+    for name, code in scripts.items():
         (tmp_path / f"{name}.py").write_text(code)
     (tmp_path / "__main__.py").write_text((FOLDER / "__main__.py").read_text())
-    done = subprocess.run([sys.executable, str(tmp_path)], capture_output=True, text=True, check=False)
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "stale.png").touch()
+    os.utime(out / "stale.png", (0, 0))
+    command = [sys.executable, str(tmp_path), "--out", str(out)]
+    done = subprocess.run(command, cwd=out, capture_output=True, text=True, check=False)
     assert done.returncode == 1 and done.stderr == "not drawn: bad.py\n"
-    assert "good.py" in done.stdout and "last.py" in done.stdout
+    told = [(line.split()[:2], line.split()[4:]) for line in done.stdout.splitlines()]  # between them, the time
+    names = [(["bad.py", "FAILED,"], []), (["good.py", "drawn,"], ["fresh.png"]), (["last.py", "drawn,"], [])]
+    assert told == names, "with what each has written"
 
 
 def test_every_script_of_the_folder_is_called() -> None:
