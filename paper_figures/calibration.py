@@ -75,7 +75,11 @@ def draw(results: Path, out: Path) -> None:
     if not sampling:
         raise missing("distribution", BASE, "flow", what="record of a model that samples")
     base = BASE if BASE in sampling else None
-    horizons = sorted(map(int, of.frame["horizon"].unique()))
+    # Horizons that every model which samples has
+    horizons = sorted(set.intersection(*(set(of.where(name=name).frame["horizon"].astype(int)) for name in sampling)))
+    if not horizons:
+        raise missing("distribution", *sampling, what="horizon that all sampling models share")
+    of = of.where(horizon=horizons)
     figure = Figure(figsize=(10, 0.9 + len(horizons) * (1.2 + 0.22 * len(of.names))), layout="constrained")
     axes = figure.subplots(len(horizons), 4, squeeze=False, sharex="col", width_ratios=(1.2, 1, 1, 1))
     table = [["model", "n", *(f"coverage of {level} %" for level in LEVELS.values()), "energy score, normalised"]]

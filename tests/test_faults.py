@@ -140,8 +140,8 @@ def test_kills_at_random_moments_lose_nothing(seed: int, undisturbed: Store, tmp
         before = len(arrays(tmp_path))
         process = start(tmp_path)
         # Half of the rounds end at any moment, half within 30 ms after a shard was begun.
-        end = time.monotonic() + rng.uniform(0.2, 3)
         watch = caught % 2 == 1
+        end = time.monotonic() + (30 if watch else rng.uniform(0.2, 3))
         while time.monotonic() < end and process.poll() is None:
             if watch and len(list(tmp_path.rglob("*.npy"))) > before:
                 time.sleep(rng.uniform(0, 0.03))

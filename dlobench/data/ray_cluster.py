@@ -58,7 +58,8 @@ def run(
             # Few pieces wait in the cluster at a time, so that memory does not grow with the amount of work.
             if time.monotonic() - counted > RECOUNT:
                 limit, counted = 2 * max(1, int(ray.cluster_resources().get("CPU", 1))), time.monotonic()
-            running += [task.remote(piece) for piece in islice(queue, limit - len(running))]
+            room = max(0, limit - len(running))  # none where a node was lost
+            running += [task.remote(piece) for piece in islice(queue, room)]
             if not running:
                 return
             done, running = ray.wait(running, timeout=RECOUNT)
