@@ -22,13 +22,15 @@ from torch import Tensor
 from dlobench.bench.plugins import load_model
 from dlobench.nn.geometry import Scene
 from dlobench.nn.graph import GraphNetwork
-from dlobench.nn.inner import Inner, meta_loss
+from dlobench.nn.inner import Inner, RatePer, meta_loss
 from dlobench.nn.networks import Layers, flat, initial, mlp, weighted_mse
 
 STEP = "a meta step of maml, forward and backward, ms; × how many times as fast as a loop over tasks, or learn2learn"
 PREDICTIONS = "predictions a second, 1 push ahead"
 WINDOWS = 17  # of a trajectory at n = 4
 QUERIES = 10  # trajectories of a task
+RATES: dict[str, RatePer] = {"loop": "layer", "learn2learn": "network"}
+ROUNDS = 25  # of a meta step and its peer, turn by turn
 
 
 @pytest.fixture(autouse=True)
@@ -61,14 +63,6 @@ def looped(layers: Layers, rates: Tensor, support: Any, query: Any) -> Tensor:
     return torch.stack(losses).mean()
 
 
-def by_learn2learn(layers: Layers, rates: Tensor, support: Any, query: Any) -> Tensor:
-    """Returns the loss after an inner step as learn2learn's MAML has it, one rate for all layers."""
-    loss: Tensor = load_model("maml_learn2learn").model.fit.__globals__["looped_loss"](
-        layers, rates[:1], support, query, inner=Inner(1, False, "network")
-    )
-    return loss
-
-
 def paired(one: Callable[[], object], other: Callable[[], object], rounds: int) -> tuple[float, float]:
     """Returns the median seconds of two functions that take turns."""
     found: tuple[list[float], list[float]] = ([], [])
@@ -80,29 +74,36 @@ def paired(one: Callable[[], object], other: Callable[[], object], rounds: int) 
     return statistics.median(found[0]), statistics.median(found[1])
 
 
-@pytest.mark.parametrize("peer", [looped, by_learn2learn], ids=["loop", "learn2learn"])
-@pytest.mark.parametrize(("N", "K"), [(5, 1), (5, 10), (5, 50), (50, 1), (50, 10), (50, 50)])
-def test_meta_step(benchmark: BenchmarkFixture, tables: Tables, N: int, K: int, peer: Callable[..., Tensor]) -> None:
-    if peer is by_learn2learn and find_spec("learn2learn") is None:
+def peer_of(name: str) -> Callable[..., Tensor]:
+    """Returns the meta loss of a peer; what takes time once, such as loading the plugin, is done here."""
+    if name == "loop":
+        return looped
+    if find_spec("learn2learn") is None:
         pytest.skip("learn2learn is not installed: make peers")
+    loss = load_model("maml_learn2learn").model.fit.__globals__["looped_loss"]
+    return partial(loss, inner=Inner(rate_per=RATES[name]))
+
+
+@pytest.mark.parametrize("peer", ["loop", "learn2learn"])
+@pytest.mark.parametrize(("N", "K"), [(5, 1), (5, 10), (5, 50), (50, 1), (50, 10), (50, 50)])
+def test_meta_step(benchmark: BenchmarkFixture, tables: Tables, N: int, K: int, peer: str) -> None:
+    theirs_loss = peer_of(peer)
     generator = torch.Generator().manual_seed(0)
     layers = initial([74, *[32] * 6, 64], generator)
-    rates = torch.full((7 if peer is looped else 1,), 0.1, requires_grad=True)
-    inner = Inner(rate_per="layer" if peer is looped else "network")
+    rates = torch.full((7 if peer == "loop" else 1,), 0.1, requires_grad=True)
     tasks, trajectories = (N, K) if benchmark.enabled else (2, 1)
     support, query = batch(tasks, trajectories, generator), batch(tasks, QUERIES, generator)
 
     def step(loss: Callable[..., Tensor]) -> list[Tensor]:
         return list(torch.autograd.grad(loss(layers, rates, support, query), [*flat(layers), rates]))
 
-    stacked = partial(meta_loss, inner=inner)
-    for one, other in zip(step(stacked), step(peer), strict=True):
+    stacked = partial(meta_loss, inner=Inner(rate_per=RATES[peer]))
+    for one, other in zip(step(stacked), step(theirs_loss), strict=True):
         torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-6)
-    ours, theirs = paired(lambda: step(stacked), lambda: step(peer), 7 if benchmark.enabled else 1)
+    ours, theirs = paired(lambda: step(stacked), lambda: step(theirs_loss), ROUNDS if benchmark.enabled else 1)
     benchmark.pedantic(lambda: step(stacked), rounds=1)  # type: ignore[no-untyped-call]
     if benchmark.enabled:
-        name = "loop" if peer is looped else "learn2learn"
-        line = f"N = {N:<3} K = {K:<3}{1e3 * ours:8.1f}, {name} {1e3 * theirs:8.1f}  × {theirs / ours:.1f}"
+        line = f"N = {N:<3} K = {K:<3}{1e3 * ours:8.1f}, {peer} {1e3 * theirs:8.1f}  × {theirs / ours:.1f}"
         tables.setdefault(STEP, []).append(line)
 
 
