@@ -9,12 +9,12 @@ import time
 from pathlib import Path
 
 HERE = Path(__file__).parent
-LIBRARY = ("__main__", "drawing", "recorded", "scenes")  # what scripts share
+SCRIPT = 'if __name__ == "__main__":'  # what a script ends with, and what scripts share does not
 
 
 def scripts() -> list[Path]:
-    """Returns the scripts, by name: every other file of this folder."""
-    return [path for path in sorted(HERE.glob("*.py")) if path.stem not in LIBRARY]
+    """Returns the scripts of this folder, by name."""
+    return [path for path in sorted(HERE.glob("*.py")) if path.stem != "__main__" and SCRIPT in path.read_text()]
 
 
 def main(arguments: list[str]) -> int:

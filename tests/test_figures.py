@@ -84,7 +84,8 @@ def test_without_opengl_one_sentence_says_so(tmp_path: Path) -> None:
 def test_one_that_fails_is_named_and_the_others_are_drawn(tmp_path: Path) -> None:
     scripts = {"good": "open('fresh.png', 'w')", "bad": "raise SystemExit(1)", "last": ""}
     for name, code in scripts.items():
-        (tmp_path / f"{name}.py").write_text(code)
+        (tmp_path / f"{name}.py").write_text(f'{code}\nif __name__ == "__main__":\n    pass\n')
+    (tmp_path / "shared.py").write_text("raise SystemExit(1)")  # no script: it does not end like one
     (tmp_path / "__main__.py").write_text((FOLDER / "__main__.py").read_text())
     out = tmp_path / "out"
     out.mkdir()
@@ -96,10 +97,3 @@ def test_one_that_fails_is_named_and_the_others_are_drawn(tmp_path: Path) -> Non
     told = [(line.split()[:2], line.split()[4:]) for line in done.stdout.splitlines()]  # between them, the time
     names = [(["bad.py", "FAILED,"], []), (["good.py", "drawn,"], ["fresh.png"]), (["last.py", "drawn,"], [])]
     assert told == names, "with what each has written"
-
-
-def test_every_script_of_the_folder_is_called() -> None:
-    for path in sorted(FOLDER.glob("*.py")):
-        is_script = 'if __name__ == "__main__":' in path.read_text() and path.stem != "__main__"
-        library = path.stem in ("__main__", "drawing", "recorded", "scenes")
-        assert is_script != library, path

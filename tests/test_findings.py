@@ -12,6 +12,7 @@ from findings import Answer
 from recorded import read
 from test_recorded_figures import RESULTS, sweep
 
+from dlobench.bench.record import FitReport
 from dlobench.bench.results import write
 from dlobench.bench.statistics import Interval
 from dlobench.errors import RunError
@@ -46,6 +47,28 @@ def test_materials_are_paired_by_attachment_and_bodies(swept: Path) -> None:
     for one, other in zip(before, after, strict=True):
         assert one.found.domains == 6
         assert other.found.estimate == pytest.approx(3 * one.found.estimate)
+
+
+@pytest.mark.parametrize(("minutes", "steps", "decides"), [(1.0, 100, True), (1.0, 200, False), (None, 200, True)])
+def test_materials_that_the_clock_gave_unequal_steps_decide_nothing(
+    minutes: float | None, steps: int, decides: bool, swept: Path
+) -> None:
+    of = read(swept, "horizon_sweep")
+    material = of.frame.groupby("domain")["material"].first()
+    fits = [
+        FitReport(
+            trajectories=500,
+            horizon=1,
+            domain=domain,
+            seconds=1,
+            curve=[{"step": float(steps if material[domain] == "flexible" else 100)}],
+        )
+        for domain in material.index
+    ]
+    (record,) = of.records
+    about = record.provenance.model_copy(update={"budget": {"steps": None, "minutes": minutes}})
+    told = replace(of, records=(record.model_copy(update={"fits": fits, "provenance": about}),))
+    assert [one.decides for one in findings.of_material(told)] == [decides, decides]
 
 
 @pytest.mark.parametrize(
