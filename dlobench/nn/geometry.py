@@ -94,15 +94,16 @@ def nearest(points: Tensor, bodies: Tensor, boxes: Tensor) -> tuple[Tensor, Tens
 
     It is 0 within a body, and of length `FAR` to one that has no box.
     """
-    centre, yaw = placed(bodies, boxes)
-    half = boxes[..., 3:][:, None]
-    local = rotated(points[:, :, None, None] - centre[:, None], -yaw[:, None])  # (B, P, M, 5, 2)
-    vector = local.clamp(-half, half) - local
-    gap = vector.square().sum(-1).clamp_min(1e-12).sqrt().masked_fill(half[..., 0] <= 0, FAR)
-    gap, which = gap.min(-1)
-    chosen = vector.gather(-2, which[..., None, None].expand(*which.shape, 1, 2))[..., 0, :]
-    turn = yaw[:, None].expand(*which.shape, yaw.shape[-1]).gather(-1, which[..., None])[..., 0]
-    return rotated(chosen, turn), gap
+    centre, yaw = (each[:, None] for each in placed(bodies, boxes))  # (B, 1, M, 5, …)
+    (x, y), (right, up) = points[:, :, None, None].unbind(-1), boxes[:, None, ..., 3:].unbind(-1)
+    c, s, dx, dy = yaw.cos(), yaw.sin(), x - centre[..., 0], y - centre[..., 1]  # (B, P, M, 5)
+    along, across = dx * c + dy * s, dy * c - dx * s
+    along, across = along.clamp(-right, right) - along, across.clamp(-up, up) - across
+    square = (along.square() + across.square()).masked_fill(right <= 0, FAR**2)
+    gap, which = square.min(-1, keepdim=True)
+    chosen = torch.stack([along.gather(-1, which), across.gather(-1, which)], -1)[..., 0, :]
+    turn = yaw.expand_as(square).gather(-1, which)[..., 0]
+    return rotated(chosen, turn), gap[..., 0].clamp_min(1e-12).sqrt()
 
 
 def sweep(points: Tensor, length: Tensor) -> tuple[Tensor, Tensor]:

@@ -91,29 +91,48 @@ class GraphNetwork(nn.Module):
         """Returns displacements of segments (B, N, 2) and bodies (B, M, 3) in the frame of the push, and features."""
         exists = local.exists[..., None]
         share = exists / exists.sum(1, keepdim=True)
-        h = self.segment(_joined(segment_features(local, length), known)) * exists
+        h = _through(self.segment, segment_features(local, length), known[:, None]) * exists
         bodies = local.bodies.shape[1] > 0
         if bodies:
-            b, (edge, close) = self.body(_joined(_bodies(local, length), known)), _edges(local)
+            b, (edge, close) = _through(self.body, _bodies(local, length), known[:, None]), _edges(local)
         for k, hears in enumerate(ROUNDS):
             g = self.norms[k](h) * exists
             whole = (g * share).sum(1, keepdim=True)
-            from_bodies = torch.einsum("bnm,bmc->bnc", close, b) if bodies else torch.zeros_like(g)
-            heard = [shifted(g, sign * by) for by in hears for sign in (1, -1)]
+            heard = torch.cat([g, *(shifted(g, sign * by) for by in hears for sign in (1, -1))], -1)
+            from_bodies = close.mT @ b if bodies else g.shape[-1]
             if bodies:
-                felt = self.touches[k](torch.cat([g[:, :, None].expand(*close.shape, -1), edge], -1))
-                felt = torch.einsum("bnm,bnmc->bmc", close, torch.relu(felt))
-                b = b + self.bodies[k](torch.cat([b, felt, whole.expand_as(b)], -1))
-            h = h + self.rounds[k](torch.cat([g, *heard, from_bodies, whole.expand_as(g)], -1)) * exists
+                felt = torch.relu(_linear(self.touches[k], g[:, None], edge))
+                felt = (close[:, :, None] @ felt).squeeze(2)
+                b = b + _through(self.bodies[k], b, felt, whole)
+            h = h + _through(self.rounds[k], heard, from_bodies, whole) * exists
         moves = self.move(h) * self.scale
         if not bodies:
             return moves, local.bodies, h
         return moves, self.turn(b) * self.scale * moves.new_tensor([1.0, 1.0, 1.0 / LEVER]), h
 
 
-def _joined(rows: Tensor, known: Tensor) -> Tensor:
-    """Returns features of every row (B, P, F) beside those of its scene (B, G)."""
-    return torch.cat([rows, known[:, None].expand(-1, rows.shape[1], -1)], -1)
+def _through(perceptron: nn.Module, *parts: Tensor | int) -> Tensor:
+    """Returns what a perceptron makes of parts side by side, as `_linear` takes them."""
+    first, *rest = perceptron.children()
+    out = _linear(first, *parts)
+    for layer in rest:
+        out = layer(out)
+    return out
+
+
+def _linear(layer: nn.Module, *parts: Tensor | int) -> Tensor:
+    """Returns what a linear layer makes of parts side by side; a number stands for so many zeros.
+
+    What many rows share is one row of its part, which is multiplied once.
+    """
+    weight, first = layer.get_parameter("weight"), 0
+    out: Tensor = layer.get_parameter("bias")
+    for part in parts:
+        width = part if isinstance(part, int) else part.shape[-1]
+        if not isinstance(part, int):
+            out = out + part @ weight[:, first : first + width].T
+        first += width
+    return out
 
 
 def scene_features(local: Scene, length: Tensor) -> Tensor:
@@ -140,12 +159,13 @@ def segment_features(local: Scene, length: Tensor) -> Tensor:
 
 
 def _edges(local: Scene) -> tuple[Tensor, Tensor]:
-    """Returns features of pairs of a segment and a body (B, N, M, 6), and how close they are (B, N, M), 0 to 1."""
+    """Returns features of pairs of a body and a segment (B, M, N, 6), and how close they are (B, M, N), 0 to 1."""
     vector, gap = nearest(local.dlo, local.bodies, local.boxes)
     lever = local.dlo[:, :, None] + vector - local.bodies[:, None, :, :2]
     near = torch.stack([torch.exp(-gap / reach) for reach in (0.003, 0.01)], -1)
     close = torch.exp(-gap / 0.01) * local.exists[..., None] * local.present[:, None]
-    return torch.cat([vector.clamp(-0.05, 0.05) / 0.01, lever.clamp(-0.1, 0.1) / LEVER, near], -1), close
+    edge = torch.cat([vector.clamp(-0.05, 0.05) / 0.01, lever.clamp(-0.1, 0.1) / LEVER, near], -1)
+    return edge.transpose(1, 2).contiguous(), close.mT.contiguous()
 
 
 def _bodies(local: Scene, length: Tensor) -> Tensor:
