@@ -54,22 +54,23 @@ bench-step: $(VENV)/installed  ## Step-size error against speed, as a picture
 	$(BIN)/python tests/benchmarks/step_size.py docs/pictures/step_size.png
 
 bench-models: $(VENV)/installed  ## Steps of models beside their peers, and predictions a second
-	$(BIN)/pytest tests/benchmarks/test_models.py tests/benchmarks/test_training.py \
+	$(BIN)/pytest tests/benchmarks/test_models.py tests/benchmarks/test_training.py tests/benchmarks/test_memory.py \
 		--benchmark-enable --benchmark-sort=name
 
-peers: $(PEERS)/installed  ## learn2learn beside our own MAML: the same gradients, and the race (builds .peers by itself)
+peers: $(PEERS)/installed  ## learn2learn and torch_geometric beside ours: the same gradients, and the race (builds .peers)
 	$(PEERS)/bin/python -m pytest tests/test_maml.py tests/test_contract.py -k learn2learn -rA
-	$(PEERS)/bin/python -m pytest tests/benchmarks/test_models.py -k learn2learn --benchmark-enable --benchmark-sort=name
+	$(PEERS)/bin/python -m pytest tests/benchmarks -k 'learn2learn or step_of_the_graph' --benchmark-enable --benchmark-sort=name
 
-# learn2learn is only to be had as sources, which pip 26 builds with this option and pip 23 does not. All else is borrowed from
-# .venv, so that both sides of the race have one torch.
+# Both peers are for these races alone. learn2learn is only to be had as sources, which pip 26 builds with this option and pip 23
+# does not. All else is borrowed from .venv, so that both sides of a race have one torch.
 $(PEERS)/installed: $(VENV)/installed
 	$(BIN)/python -m venv --clear $(PEERS)
 	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check 'pip==26.*'
 	$(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))' \
 		> $$($(PEERS)/bin/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')/borrowed.pth
 	$(PEERS)/bin/python -m pip install --quiet --no-deps learn2learn==0.2.0 --config-settings=--build-option=build_ext
-	$(PEERS)/bin/python -m pip install --quiet --no-deps torchvision==0.28.0 gym==0.26.2 gym-notices==0.1.0 cloudpickle qpth==0.0.18
+	$(PEERS)/bin/python -m pip install --quiet --no-deps torchvision==0.28.0 gym==0.26.2 gym-notices==0.1.0 cloudpickle qpth==0.0.18 \
+		torch_geometric==2.8.1 psutil
 	$(PEERS)/bin/python -m pip install --quiet --no-deps --editable .
 	touch $@
 

@@ -27,14 +27,15 @@ SCORING = 0.15  # of the time of a fit, at most, goes to loading and scoring
 
 @dataclass(frozen=True)
 class Run:
-    """Names a run of `dlobench run`: a task, a model, its seeds, hyperparameters, and minutes a fit may take."""
+    """Names a run of `dlobench run`: a task, a model, its seeds, hyperparameters, and how long a fit may last."""
 
     task: str
     model: str
     seeds: Sequence[int] = (0, 1, 2)
     settings: dict[str, Any] = field(default_factory=dict)
-    minutes: float | None = None  # None: the model stops by its own patience
-    expected: float = 0.5  # minutes that a fit takes where nothing limits it
+    steps: int | None = None  # None: the model stops by its own patience, or by its own number of steps
+    minutes: float | None = None  # None: no clock ends a fit
+    expected: float = 0.5  # minutes that a fit takes where no clock ends it
 
 
 ADAPTING = ("finetune", "maml", "neural_process", "gnn_context")
@@ -63,14 +64,14 @@ def fits(task: str) -> int:
 def pending(plan: Sequence[Run]) -> Iterator[tuple[Run, int]]:
     """Yields the runs and seeds of which no record stands in the results."""
     there = [
-        (r.task, r.model, r.seed, r.provenance.hyperparameters, r.provenance.budget["minutes"])
+        (r.task, r.model, r.seed, r.provenance.hyperparameters, r.provenance.budget)
         for r in (read_all(RESULTS) if RESULTS.exists() else [])
         if r.scale == "small" and not r.failures
     ]
     for run in plan:
         hyper = hyperparameters(load_model(run.model).model) | run.settings
         for seed in run.seeds:
-            if (run.task, run.model, seed, hyper, run.minutes) not in there:
+            if (run.task, run.model, seed, hyper, {"steps": run.steps, "minutes": run.minutes}) not in there:
                 yield run, seed
 
 
@@ -84,7 +85,9 @@ def table(plan: Sequence[Run]) -> str:
     rows = ["| task | model | seeds | a fit stops after | fits a seed | core-hours |", "| --- " * 6 + "|"]
     for run in plan:
         model = f"`{run.model}`" + "".join(f", `{name}={value}`" for name, value in run.settings.items())
-        limit = "its own patience" if run.minutes is None else f"{run.minutes:g} minutes"
+        limits = [f"{run.steps:,} steps"] if run.steps is not None else []
+        limits += [f"{run.minutes:g} minutes"] if run.minutes is not None else []
+        limit = " or ".join(limits) or "its own patience"
         cost = hours(run) * len(run.seeds)
         rows.append(f"| `{run.task}` | {model} | {len(run.seeds)} | {limit} | {fits(run.task)} | {cost:.2f} |")
     return "\n".join(rows) + "\n"
@@ -100,7 +103,8 @@ def written(page: str) -> str:
 def command(run: Run, seed: int) -> list[str]:
     """Returns the command line of one seed."""
     settings = [part for name, value in run.settings.items() for part in ("--set", f"{name}={value}")]
-    limit = [] if run.minutes is None else ["--max-minutes", f"{run.minutes:g}"]
+    limit = [] if run.steps is None else ["--max-steps", str(run.steps)]
+    limit += [] if run.minutes is None else ["--max-minutes", f"{run.minutes:g}"]
     what = ["--task", run.task, "--scale", "small", "--model", run.model, "--seed", str(seed)]
     return [str(Path(sys.executable).with_name("dlobench")), "run", *what, *settings, *limit, "--out", str(RESULTS)]
 

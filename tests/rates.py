@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import statistics
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import pytest
@@ -29,3 +31,14 @@ def lines(rates: Rates) -> Iterator[str]:
     """Yields a line a side."""
     for side, rate in rates.items():
         yield f"{side:44}{rate.pushes:8.1f}" + (f"   shipped is {rate.shipped:.2f} ×" if rate.shipped else "")
+
+
+def paired(one: Callable[[], object], other: Callable[[], object], rounds: int) -> tuple[float, float]:
+    """Returns the median seconds of two functions that take turns."""
+    found: tuple[list[float], list[float]] = ([], [])
+    for _ in range(rounds):
+        for function, times in zip((one, other), found, strict=True):
+            begin = time.perf_counter()
+            function()
+            times.append(time.perf_counter() - begin)
+    return statistics.median(found[0]), statistics.median(found[1])

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 
 from dlobench.domain import MAX_BODIES, MAX_BOXES, MAX_SEGMENTS, SEGMENT_LENGTH
+from dlobench.nn.geometry import Scene
 from dlobench.trajectories import Floats, Trajectories
 
 
@@ -48,3 +50,12 @@ def toy_domains(count: int, *, seed: int = 0, **shape: int) -> list[Trajectories
 def error(positions: Floats, truth: Floats, mask: np.ndarray) -> float:
     """Returns the mean squared error in m² over the segments that exist."""
     return float(((positions - truth)[..., mask, :] ** 2).mean())
+
+
+def toy_scene(B: int, bodies: int) -> Scene:
+    """Makes scenes of 32 segments and so many bodies of four boxes, all of which are there."""
+    boxes = torch.zeros(B, bodies, 5, 5)
+    boxes[:, :, :4, 3:] = 0.0075
+    dlo, present = 0.05 * torch.randn(B, 32, 2), torch.ones(B, bodies)
+    poses = 0.05 * torch.randn(B, bodies, 3)
+    return Scene(dlo, torch.ones(B, 32), torch.zeros(B, 2), poses, present, boxes, torch.zeros(B, 3))

@@ -5,8 +5,6 @@ Two threads, float32. Where benchmarks are disabled, all run once on little, and
 
 from __future__ import annotations
 
-import statistics
-import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from importlib.util import find_spec
@@ -16,11 +14,11 @@ from typing import Any
 import pytest
 import torch
 from pytest_benchmark.fixture import BenchmarkFixture
-from rates import Tables
+from rates import Tables, paired
 from torch import Tensor
+from toy import toy_scene
 
 from dlobench.bench.plugins import load_model
-from dlobench.nn.geometry import Scene
 from dlobench.nn.graph import GraphNetwork
 from dlobench.nn.inner import Inner, RatePer, meta_loss
 from dlobench.nn.networks import Layers, flat, initial, mlp, weighted_mse
@@ -61,17 +59,6 @@ def looped(layers: Layers, rates: Tensor, support: Any, query: Any) -> Tensor:
         inputs, targets, weight = (each[task] for each in query)
         losses.append(weighted_mse(mlp(adapted, inputs), targets, weight))
     return torch.stack(losses).mean()
-
-
-def paired(one: Callable[[], object], other: Callable[[], object], rounds: int) -> tuple[float, float]:
-    """Returns the median seconds of two functions that take turns."""
-    found: tuple[list[float], list[float]] = ([], [])
-    for _ in range(rounds):
-        for function, times in zip((one, other), found, strict=True):
-            begin = time.perf_counter()
-            function()
-            times.append(time.perf_counter() - begin)
-    return statistics.median(found[0]), statistics.median(found[1])
 
 
 def peer_of(name: str) -> Callable[..., Tensor]:
@@ -138,11 +125,7 @@ def test_predictions_of_an_mlp(benchmark: BenchmarkFixture, tables: Tables) -> N
 @pytest.mark.parametrize("bodies", [0, 3])
 def test_predictions_of_a_gnn(benchmark: BenchmarkFixture, tables: Tables, bodies: int) -> None:
     B = 256 if benchmark.enabled else 4
-    boxes = torch.zeros(B, bodies, 5, 5)
-    boxes[:, :, :4, 3:] = 0.0075
-    dlo, present = 0.05 * torch.randn(B, 32, 2), torch.ones(B, bodies)
-    poses = 0.05 * torch.randn(B, bodies, 3)
-    scene = Scene(dlo, torch.ones(B, 32), torch.zeros(B, 2), poses, present, boxes, torch.zeros(B, 3))
+    scene = toy_scene(B, bodies)
     network, action = GraphNetwork(32, 0.004).requires_grad_(False), 0.01 * torch.randn(B, 2)
 
     def predict() -> Tensor:  # both sights, as `rollout.predict` does
