@@ -46,10 +46,6 @@ def test_memory_is_flat_in_the_number_of_pushes() -> None:
 
 TRAIN = """
 import sys
-from pathlib import Path
-
-import pytest
-from rates import Tables
 sys.path.insert(0, sys.argv[1])
 from pathlib import Path
 from toy import toy_domains
