@@ -54,7 +54,7 @@ bench-step: $(VENV)/installed  ## Step-size error against speed, as a picture
 	$(BIN)/python tests/benchmarks/step_size.py docs/pictures/step_size.png
 
 bench-models: $(VENV)/installed  ## Steps of models beside their peers, and predictions a second
-	$(BIN)/pytest tests/benchmarks/test_models.py tests/benchmarks/test_training.py tests/benchmarks/test_memory.py \
+	$(BIN)/pytest tests/benchmarks/test_models.py tests/benchmarks/test_training.py tests/benchmarks/test_fit_memory.py \
 		--benchmark-enable --benchmark-sort=name
 
 peers: $(PEERS)/installed  ## learn2learn and torch_geometric beside ours: the same gradients, and the race (builds .peers)

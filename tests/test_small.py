@@ -60,6 +60,21 @@ def test_what_is_recorded_is_not_made_again(monkeypatch: pytest.MonkeyPatch) -> 
     assert list(small.pending([other])) == [(other, 0)], "another hyperparameter is another run"
     limited = small.Run("meta", "gnn", seeds=(0,), minutes=1.0)
     assert list(small.pending([limited])) == [(limited, 0)], "another budget is another run"
+    cut = small.Run("meta", "gnn", seeds=(0,), steps=800)
+    assert list(small.pending([cut])) == [(cut, 0)]
+    budget = {"steps": 800, "minutes": None}
+    told[:] = [r.model_copy(update={"provenance": r.provenance.model_copy(update={"budget": budget})}) for r in told]
+        r.model_copy(update={"provenance": r.provenance.model_copy(update={"budget": {"steps": 800, "minutes": None}})})
+        for r in told
+    ]
+    assert not list(small.pending([cut]))
+
+
+def test_the_limits_of_a_run_are_those_of_its_command() -> None:
+    cut = small.command(small.Run("rollout", "gnn", steps=800), 0)
+    assert cut[cut.index("--max-steps") + 1] == "800" and "--max-minutes" not in cut
+    timed = small.command(small.Run("rollout", "gnn", minutes=0.5), 0)
+    assert timed[timed.index("--max-minutes") + 1] == "0.5" and "--max-steps" not in timed
 
 
 def test_a_run_that_fails_is_told_and_fails_the_whole(

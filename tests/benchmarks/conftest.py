@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
+import torch
+from pytest_benchmark.fixture import BenchmarkFixture
 from rates import KEPT, TABLES, Rates, Tables, lines
+
+
+@pytest.fixture
+def two_threads(benchmark: BenchmarkFixture) -> Iterator[None]:
+    """Gives torch two threads while something is measured, one otherwise."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(2 if benchmark.enabled else 1)
+    yield
+    torch.set_num_threads(before)
 
 
 @pytest.fixture

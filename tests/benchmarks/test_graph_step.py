@@ -6,7 +6,7 @@ whole step. Where benchmarks are disabled, the two are held against each other o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -21,14 +21,7 @@ from dlobench.nn.geometry import Scene
 from dlobench.nn.graph import ROUNDS, GraphNetwork
 
 GRAPH = "a training step of the graph network at batch 64, ms; × how many times as fast as torch_geometric"
-
-
-@pytest.fixture(autouse=True)
-def _two_threads(benchmark: BenchmarkFixture) -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(2 if benchmark.enabled else 1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("two_threads")
 
 
 def chain(B: int, N: int) -> dict[int, Tensor]:

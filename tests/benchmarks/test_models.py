@@ -5,7 +5,7 @@ Two threads, float32. Where benchmarks are disabled, all run once on little, and
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
 from itertools import pairwise
@@ -29,14 +29,7 @@ WINDOWS = 17  # of a trajectory at n = 4
 QUERIES = 10  # trajectories of a task
 RATES: dict[str, RatePer] = {"loop": "layer", "learn2learn": "network"}
 ROUNDS = 25  # of a meta step and its peer, turn by turn
-
-
-@pytest.fixture(autouse=True)
-def _two_threads(benchmark: BenchmarkFixture) -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(2 if benchmark.enabled else 1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("two_threads")
 
 
 def batch(N: int, trajectories: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 
 import pytest
@@ -24,14 +24,7 @@ from dlobench.nn.windows import Windows, standardise
 from dlobench.trajectories import Trajectories
 
 STACK = "steps of networks (4 × 128, batch 64) a second; × how many times as fast the stack is"
-
-
-@pytest.fixture(autouse=True)
-def _two_threads(benchmark: BenchmarkFixture) -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(2 if benchmark.enabled else 1)
-    yield
-    torch.set_num_threads(before)
+pytestmark = pytest.mark.usefixtures("two_threads")
 
 
 def in_turn(sides: Mapping[str, Callable[[], float]], rounds: int) -> dict[str, float]:
