@@ -64,9 +64,6 @@ def test_what_is_recorded_is_not_made_again(monkeypatch: pytest.MonkeyPatch) -> 
     assert list(small.pending([cut])) == [(cut, 0)]
     budget = {"steps": 800, "minutes": None}
     told[:] = [r.model_copy(update={"provenance": r.provenance.model_copy(update={"budget": budget})}) for r in told]
-        r.model_copy(update={"provenance": r.provenance.model_copy(update={"budget": {"steps": 800, "minutes": None}})})
-        for r in told
-    ]
     assert not list(small.pending([cut]))
 
 
