@@ -77,15 +77,28 @@ def of_data(sweep: Recorded) -> Iterator[Answer]:
 
 
 def of_material(sweep: Recorded) -> Iterator[Answer]:
-    """Yields how much harder flexible is than the others, over attachments, bodies and horizons."""
+    """Yields how much harder flexible is than the others, and by how much more its error varies within a domain.
+
+    Both over attachments, bodies and horizons.
+    """
     for name in (name for name in SWEPT if name in sweep.names):
         rows = sweep.where(name=name, trajectories=shared_size(sweep)).frame
-        for other in ("soft", "elastoplastic"):
-            found = ratio(*(typical(rows[rows["material"] == material]) for material in ("flexible", other)))
-            text = f"{name}: error of flexible ÷ of {other}, mean over horizons"
-            if uneven := not even(sweep, rows, "flexible", other):
-                text += ", fitted with unequal steps"
-            yield Answer("3. Flexible is the hardest material", text, found, "×", decides=not uneven)
+        for what, scored in (("error", rows), ("standard deviation of the error", rows.assign(euclidean=spread(rows)))):
+            for other in ("soft", "elastoplastic"):
+                found = ratio(*(typical(scored[rows["material"] == material]) for material in ("flexible", other)))
+                text = f"{name}: {what} of flexible ÷ of {other}, mean over horizons"
+                if uneven := not even(sweep, rows, "flexible", other):
+                    text += ", fitted with unequal steps"
+                yield Answer("3. Flexible is the hardest material", text, found, "×", decides=not uneven)
+
+
+def spread(rows: pd.DataFrame) -> pd.Series[float]:
+    """Returns the standard deviation, m, of the distance by which segments are missed, over segments and windows.
+
+    The mean squared error is per coordinate, so twice that is the mean square of the distance.
+    """
+    out: pd.Series[float] = (2 * rows["mse"] - rows["euclidean"] ** 2) ** 0.5
+    return out
 
 
 def even(sweep: Recorded, rows: pd.DataFrame, *materials: str) -> bool:

@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import findings
+import numpy as np
+import pandas as pd
 import pytest
 from findings import Answer
 from recorded import read
@@ -42,11 +44,21 @@ def test_growth_with_the_horizon_and_gain_by_data_are_those_of_the_records(swept
 def test_materials_are_paired_by_attachment_and_bodies(swept: Path) -> None:
     of = read(swept, "horizon_sweep")
     frame = of.frame.copy()
-    frame.loc[frame["material"] == "flexible", "euclidean"] *= 3
+    flexible = frame["material"] == "flexible"
+    frame.loc[flexible, "euclidean"] *= 3
+    frame.loc[flexible, "mse"] *= 9
     before, after = (list(findings.of_material(each)) for each in (of, replace(of, frame=frame)))
     for one, other in zip(before, after, strict=True):
         assert one.found.domains == 6
         assert other.found.estimate == pytest.approx(3 * one.found.estimate)
+    assert ["standard deviation" in one.statistic for one in after] == [False, False, True, True]
+
+
+def test_the_spread_of_errors_is_that_of_the_distances() -> None:
+    missed = np.random.default_rng(0).normal(scale=0.002, size=(50, 32, 2))  # m
+    distance = np.linalg.norm(missed, axis=-1)
+    rows = pd.DataFrame({"mse": [(missed**2).mean()], "euclidean": [distance.mean()]})
+    assert findings.spread(rows).item() == pytest.approx(distance.std())
 
 
 @pytest.mark.parametrize(("minutes", "steps", "decides"), [(1.0, 100, True), (1.0, 200, False), (None, 200, True)])
@@ -68,7 +80,7 @@ def test_materials_that_the_clock_gave_unequal_steps_decide_nothing(
     (record,) = of.records
     about = record.provenance.model_copy(update={"budget": {"steps": None, "minutes": minutes}})
     told = replace(of, records=(record.model_copy(update={"fits": fits, "provenance": about}),))
-    assert [one.decides for one in findings.of_material(told)] == [decides, decides]
+    assert [one.decides for one in findings.of_material(told)] == [decides] * 4
 
 
 @pytest.mark.parametrize(
