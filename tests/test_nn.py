@@ -88,14 +88,52 @@ def test_initial_draws_from_its_generator_alone() -> None:
 
 
 @pytest.mark.parametrize("target", ["displacement", "absolute"])
-def test_scaling_inverts(target: windows.Target) -> None:
-    train = toy_domains(3, trajectories=4, segments=20)
-    made, scaling = windows.standardise(train, horizon=2, bodies=False, target=target)
+@pytest.mark.parametrize("frame", ["world", "push"])
+def test_scaling_inverts(target: windows.Target, frame: windows.Frame) -> None:
+    train = [with_bodies(d, seed) for seed, d in enumerate(toy_domains(3, trajectories=4, segments=20))]
+    made, scaling = windows.standardise(train, horizon=2, bodies=True, target=target, frame=frame)
     query, truth = train[1].windows(2)
     outputs = made.targets[made.domain == 1].flatten(0, 1)
     np.testing.assert_allclose(scaling.positions(outputs, query), truth.dlo[0], atol=1e-7)
     torch.testing.assert_close(scaling.inputs(query), made.inputs[made.domain == 1].flatten(0, 1))
     np.testing.assert_array_equal(train[1].windows(2)[0].dlo, query.dlo)  # the query was not written to
+
+
+@pytest.mark.parametrize("target", ["displacement", "absolute"])
+def test_in_the_frame_of_a_push_only_pusher_and_heading_tell_where_the_world_is(target: windows.Target) -> None:
+    domain = with_bodies(toy_domains(1, trajectories=4)[0])
+    by, (c, s) = np.array([0.02, -0.03], np.float32), np.cos([0.7, 0.7 - np.pi / 2])
+    turn = np.array([[c, s], [-s, c]], np.float32)  # of rows, by 0.7 rad
+    moved = replace(
+        domain,
+        dlo=np.concatenate([domain.dlo[..., :2] @ turn + by, domain.dlo[..., 2:] + 0.7], -1, dtype=np.float32),
+        bodies=np.concatenate([domain.bodies[..., :2] @ turn + by, domain.bodies[..., 2:] + 0.7], -1, dtype=np.float32),
+        pusher=domain.pusher @ turn + by,
+        commanded=domain.commanded @ turn,
+        executed=domain.executed @ turn,
+    )
+    made, other = (
+        windows.standardise([d], horizon=2, bodies=True, target=target, frame="push", normalise=False)[0]
+        for d in (domain, moved)
+    )
+    torch.testing.assert_close(made.inputs[..., 4:], other.inputs[..., 4:], atol=1e-6, rtol=1e-5)
+    torch.testing.assert_close(made.targets, other.targets, atol=1e-6, rtol=1e-5)
+    query = moved.windows(2)[0]
+    np.testing.assert_array_equal(other.inputs[..., :2].flatten(0, 1), query.pusher)
+    ahead = query.actions[:, 0] / np.linalg.norm(query.actions[:, 0], axis=1, keepdims=True)
+    np.testing.assert_allclose(other.inputs[..., 2:4].flatten(0, 1), ahead, atol=1e-6)
+    first = other.inputs[..., -4:-2].flatten(0, 1).numpy()  # straight ahead, as far as it goes
+    np.testing.assert_allclose(first[:, 0], np.linalg.norm(query.actions[:, 0], axis=1), atol=1e-7)
+    np.testing.assert_allclose(first[:, 1], 0, atol=1e-7)
+
+
+def test_a_pusher_that_keeps_still_has_a_frame() -> None:
+    domain = toy_domains(1, trajectories=2)[0]
+    still = replace(domain, executed=np.zeros_like(domain.executed))
+    made, scaling = windows.standardise([still], horizon=1, bodies=False, target="displacement", frame="push")
+    assert made.inputs.isfinite().all()
+    query, truth = still.windows(1)
+    np.testing.assert_allclose(scaling.positions(made.targets.flatten(0, 1), query), truth.dlo[0], atol=1e-7)
 
 
 def test_targets_have_one_scale() -> None:

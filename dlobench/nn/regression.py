@@ -13,7 +13,7 @@ from dlobench.nn.budget import Budget, Log
 from dlobench.nn.fit import CHUNK, REPORT, Course, Network, Plan, positive
 from dlobench.nn.networks import Layers, detached, flat, initial, mlp, weighted_mse
 from dlobench.nn.stack import Stack
-from dlobench.nn.windows import COORDINATES, Target, Windows, standardise
+from dlobench.nn.windows import COORDINATES, Frame, Target, Windows, standardise
 from dlobench.trajectories import Trajectories
 
 
@@ -27,6 +27,7 @@ class Regression:
     target: Target
     batch: int  # windows
     plan: Plan
+    frame: Frame = "world"
     normalise: bool = True
     epochs: int | None = None  # instead of the plan's patience: validates once an epoch, waits for so many
 
@@ -57,7 +58,13 @@ class Member:
 
     def __init__(self, how: Regression, job: Job, horizon: int, device: str, total: int) -> None:
         self.windows, self.scaling = standardise(
-            job.train, horizon=horizon, bodies=how.bodies, target=how.target, normalise=how.normalise, device=device
+            job.train,
+            horizon=horizon,
+            bodies=how.bodies,
+            target=how.target,
+            frame=how.frame,
+            normalise=how.normalise,
+            device=device,
         )
         self.rows = self.windows.inputs.flatten(0, 1), self.windows.targets.flatten(0, 1)
         self.unseen = self.scaling.windows(job.valid, device) if job.valid else None

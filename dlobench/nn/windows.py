@@ -1,7 +1,8 @@
 """Turns trajectories and queries into flat, standardised tensors.
 
-D domains hold R trajectories of `starts` windows each. The F features of a window are: pusher 2, segments 64,
-bodies 12 where asked for, actions 2 n.
+D domains hold R trajectories of `starts` windows each. The F features of a window are: pusher 2, heading of the first
+action 2 in its frame alone, segments 64, bodies 12 where asked for, actions 2 n. In the frame `push` the origin is the
+pusher and the x axis points along the first action, for all but pusher and heading, which tell where the walls are.
 """
 
 from __future__ import annotations
@@ -20,9 +21,11 @@ from dlobench.errors import RunError
 from dlobench.trajectories import Floats, Query, Trajectories
 
 Target = Literal["displacement", "absolute"]
+Frame = Literal["world", "push"]
 
 COORDINATES = 2 * MAX_SEGMENTS
 CONSTANT = 1e-7  # a feature that spreads less (in m, or in cosines) is constant: float32 tells no less apart
+BACK = np.array([1, -1], np.float32)  # a heading times this turns the other way
 CHUNK = 1024  # trajectories handled at once, so that temporaries stay small
 
 
@@ -63,26 +66,28 @@ class Scaling:
     horizon: int  # n, pushes ahead
     bodies: bool  # whether the features hold the rigid bodies
     target: Target
+    frame: Frame
     mean: Tensor  # (F,)  of the features where they exist, SI
     std: Tensor  # (F,)  1 for a constant feature
     target_std: float  # m, one for all coordinates, so that the MSE keeps its meaning
 
     def windows(self, domains: Sequence[Trajectories], device: str = "cpu") -> Windows:
         """Returns the standardised windows; raises `RunError` on a value that is not finite."""
-        return self._standardise(_gather(domains, self.horizon, self.bodies, self.target), device)
+        return self._standardise(_gather(domains, self.horizon, self.bodies, self.target, self.frame), device)
 
     def inputs(self, query: Query) -> Tensor:
         """Returns the standardised features (B, F); raises `RunError` when the horizon is not the fitted one."""
         if query.horizon != self.horizon:
             raise RunError(f"the query looks {query.horizon} pushes ahead, the model was fitted for {self.horizon}")
-        scaled = _features(query, self.bodies).sub_(self.mean).div_(self.std)
-        return scaled.masked_fill_(~_exists(query, self.bodies, self.horizon), 0)
+        scaled = _features(query, self.bodies, self.frame).sub_(self.mean).div_(self.std)
+        return scaled.masked_fill_(~_exists(query, self.bodies, self.horizon, self.frame), 0)
 
     def positions(self, outputs: Tensor, query: Query) -> Floats:
         """Returns the segments (B, 32, 2) in m that outputs (B, 64) stand for, 0 where there is no segment."""
         positions: Floats = outputs.cpu().numpy().reshape(-1, MAX_SEGMENTS, 2) * np.float32(self.target_std)
-        if self.target == "displacement":
-            positions += query.dlo[..., :2]
+        if self.frame == "push":
+            positions = _turned(positions, _heading(query))
+        positions += _origin(query, self.target, self.frame)
         positions[:, ~query.dlo_mask] = 0
         return positions
 
@@ -112,6 +117,7 @@ def standardise(
     horizon: int,
     bodies: bool,
     target: Target,
+    frame: Frame = "world",
     normalise: bool = True,
     device: str = "cpu",
 ) -> tuple[Windows, Scaling]:
@@ -119,7 +125,7 @@ def standardise(
 
     Raises `RunError` as `check` does, and on a value that is not finite.
     """
-    raw = _gather(train, horizon, bodies, target)
+    raw = _gather(train, horizon, bodies, target, frame)
     mean, variance, _ = _moments(raw.inputs, raw.exists[raw.domain])
     _, target_variance, number = _moments(raw.targets, raw.weight[raw.domain] > 0)
     std, target_std = variance.sqrt(), float((target_variance * number).sum().div(number.sum()).sqrt())
@@ -127,42 +133,72 @@ def standardise(
     target_std = target_std if target_std >= CONSTANT else 1.0
     if not normalise:
         mean, std, target_std = torch.zeros_like(mean), torch.ones_like(std), 1.0
-    scaling = Scaling(horizon, bodies, target, mean.float(), std.float(), target_std)
+    scaling = Scaling(horizon, bodies, target, frame, mean.float(), std.float(), target_std)
     return scaling._standardise(raw, device), scaling
 
 
-def _features(query: Query, bodies: bool) -> Tensor:
+def _heading(query: Query) -> Floats:
+    """Returns the unit vectors (B, 2) along the first actions, (1, 0) where the pusher keeps still."""
+    action = query.actions[:, 0]
+    length = np.linalg.norm(action, axis=-1, keepdims=True)
+    ahead: Floats = np.where(length > 0, action / np.where(length > 0, length, 1), np.array([1, 0], np.float32))
+    return ahead
+
+
+def _turned(vectors: Floats, heading: Floats) -> Floats:
+    """Returns vectors (B, …, 2) of a frame whose x axis points along these headings (B, 2), as the world has them."""
+    c, s = (part.reshape(-1, *[1] * (vectors.ndim - 2)) for part in heading.T)
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
+
+
+def _origin(query: Query, target: Target, frame: Frame) -> Floats:
+    """Returns where targets are counted from, m: (B, 32, 2) or what is broadcast to it."""
+    if target == "displacement":
+        return query.dlo[..., :2]
+    return query.pusher[:, None] if frame == "push" else np.zeros(2, np.float32)
+
+
+def _features(query: Query, bodies: bool, frame: Frame = "world") -> Tensor:
     """Returns the features (B, F) in SI."""
-    columns = [query.pusher, query.dlo[..., :2]]
+    segments, places, yaw, actions = query.dlo[..., :2], query.bodies[..., :2], query.bodies[..., 2:], query.actions
+    columns = [query.pusher]
+    if frame == "push":
+        columns.append(heading := _heading(query))
+        back, centre = heading * BACK, query.pusher[:, None]
+        segments, places, actions = (_turned(part, back) for part in (segments - centre, places - centre, actions))
+        yaw = yaw - np.arctan2(heading[:, 1], heading[:, 0])[:, None, None]
+    columns.append(segments)
     if bodies:
-        yaw = query.bodies[..., 2:]
-        columns.append(np.concatenate([query.bodies[..., :2], np.cos(yaw), np.sin(yaw)], axis=-1))
-    flat = [column.reshape(len(query), math.prod(column.shape[1:])) for column in [*columns, query.actions]]
+        columns.append(np.concatenate([places, np.cos(yaw), np.sin(yaw)], axis=-1))
+    flat = [column.reshape(len(query), math.prod(column.shape[1:])) for column in [*columns, actions]]
     return torch.from_numpy(np.concatenate(flat, axis=1, dtype=np.float32))
 
 
-def _exists(source: Query | Trajectories, bodies: bool, horizon: int) -> Tensor:
+def _exists(source: Query | Trajectories, bodies: bool, horizon: int, frame: Frame = "world") -> Tensor:
     """Returns which of the F features are not padding."""
     poses = np.repeat(source.body_mask, 4 if bodies else 0)
-    parts = [np.ones(2, bool), np.repeat(source.dlo_mask, 2), poses, np.ones(2 * horizon, bool)]
-    return torch.from_numpy(np.concatenate(parts))
+    pusher = np.ones(4 if frame == "push" else 2, bool)
+    return torch.from_numpy(np.concatenate([pusher, np.repeat(source.dlo_mask, 2), poses, np.ones(2 * horizon, bool)]))
 
 
-def _gather(domains: Sequence[Trajectories], horizon: int, bodies: bool, target: Target) -> Windows:
+def _gather(domains: Sequence[Trajectories], horizon: int, bodies: bool, target: Target, frame: Frame) -> Windows:
     """Returns the windows in SI."""
     check(domains, horizon)
     count = torch.tensor([len(domain) for domain in domains], dtype=torch.long)
-    exists = torch.stack([_exists(domain, bodies, horizon) for domain in domains])
+    exists = torch.stack([_exists(domain, bodies, horizon, frame) for domain in domains])
     shape = int(count.sum()), domains[0].pushes - horizon + 1
     inputs, targets = torch.empty(*shape, exists.shape[1]), torch.empty(*shape, COORDINATES)
     row = 0
     for number, domain in enumerate(domains):
         for start in range(0, len(domain), CHUNK):
             query, after = domain.take(slice(start, start + CHUNK)).windows(horizon)
-            moved = after.dlo[0] - query.dlo[..., :2] if target == "displacement" else after.dlo[0].copy()
+            moved = after.dlo[0] - _origin(query, target, frame)
+            if frame == "push":
+                moved = _turned(moved, _heading(query) * BACK)
             moved[:, ~domain.dlo_mask] = 0
             rows = slice(row, row := row + len(query) // shape[1])
-            inputs[rows] = _features(query, bodies).view(-1, *inputs.shape[1:])
+            inputs[rows] = _features(query, bodies, frame).view(-1, *inputs.shape[1:])
             targets[rows] = torch.from_numpy(moved).view(-1, *targets.shape[1:])
             if not (inputs[rows].isfinite().all() and targets[rows].isfinite().all()):
                 raise RunError(f"domain {number} of {len(domains)} holds a position or action that is not finite")
