@@ -36,9 +36,9 @@ class Told(Source):
 class OracleParameters(Model):
     """Learns the network of `gnn` with friction, density, stiffness, yield, material and attachment as its context.
 
-    How far above `gnn` it is says what adaptation can be worth at most, and how far `gnn_context` comes says how much
-    of that the support tells. Never adapts; the board gives it no place. Not in the paper. Shapes and cost: those of
-    `gnn`.
+    How far above `gnn` it is says what knowing the domain is worth to this network, and how far `gnn_context` comes
+    says how much of that the support tells. Never adapts; the board gives it no place. Not in the paper. Shapes and
+    steps: those of `gnn`; 46,469 parameters.
     """
 
     privileged: ClassVar[bool] = True

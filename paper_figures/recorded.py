@@ -31,8 +31,8 @@ _COLOURS = ("#000000", "#E69F00", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#
 _MARKERS = "osD^vPX<>*hd"
 _LINES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 ORDER = (
-    "persistence", "ridge", "mlp", "mlp (absolute)", "multitask", "gnn", "finetune", "maml", "neural_process",
-    "gnn_context", "oracle_parameters", "mlp_gaussian", "gnn_noise", "flow", "cvae",
+    "persistence", "ridge", "mlp", "mlp (absolute)", "mlp (push frame)", "multitask", "gnn", "finetune", "maml",
+    "neural_process", "gnn_context", "oracle_parameters", "mlp_gaussian", "gnn_noise", "flow", "cvae",
 )  # fmt: skip
 
 
@@ -56,6 +56,7 @@ def label(record: Record) -> str:
     """Returns what a model is called: its name and, where they are not the usual ones, representation and N."""
     hyper = record.provenance.hyperparameters
     apart = [str(hyper["target"])] if hyper.get("target", "displacement") != "displacement" else []
+    apart += ["push frame"] if hyper.get("frame") == "push" else []
     apart += ["raw"] if hyper.get("normalise") is False else []
     usual = USUAL_N.get(record.model)
     apart += [f"N = {hyper['N']}"] if usual is not None and hyper.get("N", usual) != usual else []

@@ -84,3 +84,8 @@ def test_a_run_that_fails_is_told_and_fails_the_whole(
     assert small.main() == 1
     said = capsys.readouterr().out
     assert "1 runs are missing" in said and "failed, see" in said
+
+
+def test_runs_that_differ_in_their_settings_have_logs_of_their_own() -> None:
+    names = [(run.task, run.name) for run in small.PLAN]
+    assert len(set(names)) == len(names)
