@@ -127,6 +127,19 @@ def test_in_the_frame_of_a_push_only_pusher_and_heading_tell_where_the_world_is(
     np.testing.assert_allclose(first[:, 1], 0, atol=1e-7)
 
 
+@pytest.mark.parametrize(("name", "value"), [("target", "absolut"), ("frame", "pusher")])
+def test_an_unknown_representation_is_told(name: str, value: str) -> None:
+    options: dict[str, Any] = {"target": "displacement", "frame": "world", name: value}
+    with pytest.raises(UsageError, match=value):
+        windows.standardise(toy_domains(1, trajectories=2), horizon=1, bodies=False, **options)
+
+
+@pytest.mark.parametrize("limits", [{"steps": 0}, {"steps": -3}, {"minutes": -1.0}, {"minutes": float("nan")}])
+def test_a_budget_of_nothing_is_told(limits: dict[str, Any]) -> None:
+    with pytest.raises(UsageError, match=str(*limits.values())):
+        Budget(**limits)
+
+
 def test_a_pusher_that_keeps_still_has_a_frame() -> None:
     domain = toy_domains(1, trajectories=2)[0]
     still = replace(domain, executed=np.zeros_like(domain.executed))

@@ -7,15 +7,26 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from dlobench.errors import UsageError
+
 Listener = Callable[[int, int, dict[str, float]], None]
 
 
 @dataclass(frozen=True)
 class Budget:
-    """Limits a fit; None is no limit. A model's own number of steps is cut to it, never raised."""
+    """Limits a fit; None is no limit. A model's own number of steps is cut to it, never raised.
+
+    Raises `UsageError` for less than one step or for negative minutes; 0 minutes are one step.
+    """
 
     steps: int | None = None
     minutes: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.steps is not None and self.steps < 1:
+            raise UsageError(f"a budget of {self.steps} steps is none: it takes 1 or more")
+        if self.minutes is not None and not self.minutes >= 0:
+            raise UsageError(f"a budget of {self.minutes} minutes is none: it takes 0 or more")
 
     def steps_of(self, wanted: int) -> int:
         """Returns the steps to take when a model wants `wanted`."""

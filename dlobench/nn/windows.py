@@ -10,12 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from dlobench import ranges
 from dlobench.domain import MAX_SEGMENTS
 from dlobench.errors import RunError
 from dlobench.trajectories import Floats, Query, Trajectories
@@ -123,8 +124,10 @@ def standardise(
 ) -> tuple[Windows, Scaling]:
     """Returns the windows of the training domains, and the scaling fitted on them; all stays in SI unless `normalise`.
 
-    Raises `RunError` as `check` does, and on a value that is not finite.
+    Raises `RunError` as `check` does, and on a value that is not finite; `UsageError` for an unknown target or frame.
     """
+    ranges.choice("target", target, get_args(Target))
+    ranges.choice("frame", frame, get_args(Frame))
     raw = _gather(train, horizon, bodies, target, frame)
     mean, variance, _ = _moments(raw.inputs, raw.exists[raw.domain])
     _, target_variance, number = _moments(raw.targets, raw.weight[raw.domain] > 0)
