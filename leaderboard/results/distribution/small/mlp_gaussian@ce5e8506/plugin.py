@@ -29,7 +29,7 @@ class MlpGaussian(Model):
 
     width: int = 128
     depth: int = 4  # hidden layers
-    learning_rate: float = 2e-4
+    learning_rate: float = 1e-3
     batch: int = 64  # windows
     steps: int = 40_000
     patience: int = 20  # validations, 500 steps apart, without a new best

@@ -72,7 +72,8 @@ class Flow(Model):
     what the graph network makes of each segment. It is learned from a fifth of the trajectories, which the network does
     not see. Each sample draws n pushes, one after the other: where the pusher goes, as `gnn_noise` does, then the
     shape. Bodies follow the network. Asked for one sample it returns what the network says of the command.
-    Not in the paper. Shapes: (B, N, 2) to (S, B, N, 2).
+    Not in the paper. Shapes: (B, N, 2) to (S, B, N, 2). Cost: the fit of `gnn` and, on one core, 2,000 steps of about
+    18 ms; 20,898 parameters more, and a covariance.
     """
 
     width: int = 32
@@ -81,9 +82,9 @@ class Flow(Model):
     steps: int = 4000
     unrolled: float = 0.3  # share of the fit that learns rollouts, where the horizon is above 1
     body_weight: float = 0.1  # of bodies in the loss
-    flow_width: int = 64
-    flow_batch: int = 256  # pushes
-    flow_steps: int = 3000  # of the fit
+    flow_width: int = 32
+    flow_batch: int = 128  # pushes
+    flow_steps: int = 2000  # of the fit
     flow_rate: float = 2e-3
     midpoints: int = 6  # steps along the flow, each of which asks for its velocity twice
 

@@ -63,7 +63,7 @@ class Cvae(Model):
     makes of each segment. It is learned from a fifth of the trajectories, which the network does not see. Each sample
     draws n pushes, one after the other: where the pusher goes, as `gnn_noise` does, then the shape. Bodies follow the
     network. Asked for one sample it returns what the network says of the command. Not in the paper. Shapes: (B, N, 2)
-    to (S, B, N, 2).
+    to (S, B, N, 2). Cost: the fit of `gnn` and, on one core, 2,000 steps of about 35 ms; 42,195 parameters more.
     """
 
     width: int = 32
@@ -73,9 +73,9 @@ class Cvae(Model):
     unrolled: float = 0.3  # share of the fit that learns rollouts, where the horizon is above 1
     body_weight: float = 0.1  # of bodies in the loss
     latent: int = 8  # numbers
-    code_width: int = 64
-    code_batch: int = 256  # pushes
-    code_steps: int = 3000
+    code_width: int = 32
+    code_batch: int = 128  # pushes
+    code_steps: int = 2000
     code_rate: float = 2e-3
 
     sampler: Sampler = field(init=False, repr=False, compare=False)
