@@ -54,7 +54,7 @@ class AttentiveProcess(nn.Module):
         """Returns targets (N, B, 64) of windows (N, B, F)."""
 
         def headed(rows: Tensor) -> Tensor:
-            return rows.view(*rows.shape[:2], self.heads, -1).transpose(1, 2)
+            return rows.view(*rows.shape[:2], self.heads, rows.shape[-1] // self.heads).transpose(1, 2)
 
         found = scaled_dot_product_attention(headed(self.look(inputs)), headed(known[0]), headed(known[1]))
         whole = known[1].mean(1, keepdim=True).expand(-1, inputs.shape[1], -1)

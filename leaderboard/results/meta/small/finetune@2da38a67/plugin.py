@@ -13,7 +13,7 @@ from dlobench.bench.model import Model, Setting
 from dlobench.errors import RunError
 from dlobench.nn.episodes import Batch, draw
 from dlobench.nn.fit import Network, Plan, positive
-from dlobench.nn.networks import Layers, mlp, stacked, weighted_mse
+from dlobench.nn.networks import Layers, gradient, mlp, stacked, weighted_mse
 from dlobench.nn.regression import Regression, regress
 from dlobench.nn.windows import Target, Windows
 from dlobench.trajectories import Prediction, Query, Trajectories
@@ -23,14 +23,9 @@ RATES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # of the gradient steps that are tri
 
 def steps(layers: Layers, support: Batch, rate: float) -> Iterator[Layers]:
     """Yields N networks, stacked, after each further gradient step from `layers` on their own task."""
-    inputs, targets, weight = support
-
-    def loss(stack: Layers) -> torch.Tensor:
-        return weighted_mse(mlp(stack, inputs), targets, weight).sum()
-
-    stack = stacked(layers, len(inputs))
+    stack = stacked(layers, len(support[0]))
     while True:
-        slopes = torch.func.grad(loss)(stack)
+        slopes = gradient(stack, *support, last=len(stack))
         stack = [(w - rate * dw, b - rate * db) for (w, b), (dw, db) in zip(stack, slopes, strict=True)]
         yield stack
 
