@@ -101,15 +101,19 @@ def hours(run: Run) -> float:
 
 
 def table(plan: Sequence[Run]) -> str:
-    """Returns which model runs on which task, as Markdown: seeds, minutes a fit, core-hours."""
-    rows = ["| task | model | seeds | a fit stops | fits a seed | core-hours |", "| --- " * 6 + "|"]
+    """Returns which model runs on which task, as Markdown: seeds, what ends a fit, core-hours, records there are."""
+    rows = ["| task | model | seeds | recorded | a fit stops | fits a seed | core-hours |", "| --- " * 7 + "|"]
+    lacking = [(run.task, run.name) for run, _ in pending(plan)]
     for run in plan:
+        there = len(run.seeds) - lacking.count((run.task, run.name))
         model = f"`{run.model}`" + "".join(f", `{name}={value}`" for name, value in run.settings.items())
         limits = [f"after {run.steps:,} steps"] if run.steps is not None else []
         limits += [f"after {run.minutes:g} minutes"] if run.minutes is not None else []
         limit = " or ".join(limits) or "by itself"
         cost = hours(run) * len(run.seeds)
-        rows.append(f"| `{run.task}` | {model} | {len(run.seeds)} | {limit} | {fits(run.task)} | {cost:.2f} |")
+        rows.append(
+            f"| `{run.task}` | {model} | {len(run.seeds)} | {there or '–'} | {limit} | {fits(run.task)} | {cost:.2f} |"
+        )
     return "\n".join(rows) + "\n"
 
 

@@ -25,7 +25,8 @@ def draw(results: Path, out: Path) -> None:
             table(axes)
             axes.set_title(f"{material}, {attachment}")
     note = (
-        "Typical domains, 16 cm, 25 cm between the walls: of 8 pushes of a trajectory the one that moves the DLO most. "
+        "Typical domains, 16 cm, 25 cm between the walls: of 8 pushes of a trajectory the one that moves the DLO most: "
+        "dashed where it lay, solid where it lies then, as bodies do. "
         "The pusher is orange, a movable cylinder hatched, a fixed one black."
     )
     laid_out(figure, note)

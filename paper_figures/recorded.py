@@ -85,14 +85,17 @@ class Recorded:
         return replace(self, frame=frame)
 
     def footnote(self) -> str:
-        """Returns scale, seeds and domains in a sentence."""
+        """Returns scale, seeds, domains and what cut fits short in a sentence."""
         seeds = self.frame.groupby("name")["seed"].nunique()
         fewest, most = int(seeds.min()), int(seeds.max())
         many = f"{most}" if fewest == most else f"{fewest} to {most}"
         over = "domains" if most == 1 else "domains and seeds"
+        limits = {label(record): record.provenance.budget["steps"] for record in self.records}
+        cut = [f"{int(limits[name]):,} of {name}" for name in self.names if limits.get(name) is not None]
+        limited = f"; steps a fit, at most: {', '.join(cut)}" if cut else ""
         return (
             f"task {self.task}, scale {self.scale}: {self.frame['domain'].nunique()} test domains, "
-            f"{many} seed{'' if most == 1 else 's'} a model; intervals (95 %) over {over}"
+            f"{many} seed{'' if most == 1 else 's'} a model; intervals (95 %) over {over}{limited}"
         )
 
     def intervals(self, metric: str, by: Sequence[str]) -> dict[tuple[str, ...], Interval]:

@@ -277,11 +277,16 @@ def test_fresh_domains_tell_who_was_fitted_to_the_old(runs: Path, mini: Path, ca
             compared(record)
     weights.write(file, state)
     resealed(path, other_hyperparameters)
-    with pytest.raises(RunError, match=r"the record of .* but .* holds"):
+    with pytest.raises(RunError, match=r"the record is of .* but .* holds"):
         compared(results.read(path, runs))
     shutil.rmtree(path.with_suffix(""))
-    with pytest.raises(RunError, match="has no weights at"):
-        compared(record)
+    there = sorted(data.root.rglob("*"))
+    with pytest.raises(RunError, match="has no weights at"):  # told before anything is simulated
+        fresh(record, path, plugin, 8, data, executor=find_executor("local", workers=1), reporter=Quiet())
+    assert sorted(data.root.rglob("*")) == there
+    with pytest.raises(RunError, match="has no weights to submit"):
+        submission.pack([path], runs, path.with_name("mine.zip"))
+    assert not path.with_name("mine.zip").exists()
 
 
 def test_fresh_sets_share_no_domain_with_the_set_and_are_the_same_again() -> None:

@@ -56,12 +56,13 @@ def fresh(
     task = replace(load_task(record.task), fresh=seed)
     spans = task.spans(record.scale)
     of, tested = task.set_of("test"), spans["test"]
-    ensure_data(store, of, tested, executor=executor, reporter=reporter)
     fits = [fit for fit in task.fits(record.scale) if _recorded(fit, record)]
+    files = {fit: _weights(path, fit) for fit in fits}
+    ensure_data(store, of, tested, executor=executor, reporter=reporter)
     scores: dict[tuple[Fit, int, int], list[DomainScore]] = {}
     with reporter.bar("scoring on new domains", "fits") as listen:
         for done, fit in enumerate(fits, 1):
-            model = _revived(path, fit, record, plugin)
+            model = _revived(files[fit], record, plugin)
             for span in task.parts(spans, fit)["test"]:
                 there = seen(store, of, span, plugin.model)
                 name, cell = f"{of.name}/{span.domain:05d}", str(of.cell(span.domain))
@@ -81,16 +82,21 @@ def _recorded(fit: Fit, record: Record) -> bool:
     return (fit.trajectories, fit.horizon, domain, fit.without) in keys
 
 
-def _revived(path: Path, fit: Fit, record: Record, plugin: ModelPlugin) -> Model:
-    """Returns the model of a fit, of the seed and hyperparameters that the record says."""
+def _weights(path: Path, fit: Fit) -> Path:
+    """Returns where the weights of a fit stand."""
     file = path.with_suffix("") / f"{fit_name(fit)}.safetensors"
     if not file.is_file():
         raise RunError(f"{path} has no weights at {file}: they come with a submission, and with the folder of a run")
+    return file
+
+
+def _revived(file: Path, record: Record, plugin: ModelPlugin) -> Model:
+    """Returns the model of some weights, of the seed and hyperparameters that the record says."""
     model = revive(plugin.model, weights.read(file), device="cpu")
     for name, said in {"seed": record.seed, **record.provenance.hyperparameters}.items():
         held = recordable({name: getattr(model, name, None)})[name]
         if json.dumps(held) != json.dumps(said):  # where a tuple is a list
-            raise RunError(f"{path} is the record of {name} = {said!r}, but {file.name} holds {name} = {held!r}")
+            raise RunError(f"the record is of {name} = {said!r}, but {file} holds {name} = {held!r}")
     return model
 
 

@@ -18,13 +18,18 @@ _TIME = (1980, 1, 1, 0, 0, 0)  # of every member, so that the same records give 
 
 
 def pack(records: Sequence[Path], folder: Path, out: Path) -> int:
-    """Writes records of a folder of results with plugin, predictions and weights into a .zip; returns its bytes."""
+    """Writes records of a folder of results with plugin, predictions and weights into a .zip; returns its bytes.
+
+    Raises `RunError` for a record without weights: nobody could score it on new domains.
+    """
     import io
 
     members = set[Path]()
     for record in records:
-        beside = [record.with_name("plugin.py"), record.with_suffix(".safetensors")]
-        members |= {record, *beside, *record.with_suffix("").glob("*.safetensors")}
+        weights = [*record.with_suffix("").glob("*.safetensors")]
+        if not weights:
+            raise RunError(f"{record} has no weights to submit: the run says which field of the model cannot be saved")
+        members |= {record, record.with_name("plugin.py"), record.with_suffix(".safetensors"), *weights}
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as file:
         for path in sorted(members):
