@@ -18,6 +18,7 @@ from typing import Any
 
 from dlobench.bench.plugins import hyperparameters, load_model, load_task
 from dlobench.bench.results import read_all
+from dlobench.errors import RunError
 
 RESULTS = Path(__file__).parent / "results"
 PAGE = Path(__file__).parent.parent / "docs" / "runs.md"
@@ -51,26 +52,28 @@ META = {
 }  # fmt: skip
 # Where every domain is fitted apart, steps end a fit and not the clock, so that a record does not depend on what else
 # the machine had to do; a network of segments takes longer for 800 than one of all coordinates for 20,000.
+FIXED: dict[str, Any] = {"steps": 20_000, "expected": 0.25}
 APART: tuple[dict[str, Any], ...] = (
-    {"model": "mlp", "steps": 20_000, "expected": 0.25},
+    {"model": "mlp", **FIXED},
     {"model": "gnn", "steps": 800, "expected": 0.6},
 )
+OTHERWISE: tuple[dict[str, Any], ...] = ({"target": "absolute"}, {"frame": "push"})  # other representations
 PLAN = (
     *(Run("meta", model, seeds=(0,), expected=0.1) for model in FLOORS),
     *(Run("meta", model, expected=minutes) for model, minutes in META.items()),
     Run("meta", "oracle_parameters", seeds=(0,), expected=6.5),
     *(Run("horizon_sweep", model, seeds=(0,), expected=0.05) for model in FLOORS),
     *(Run("horizon_sweep", **limits, seeds=(0,)) for limits in APART),
-    *(
-        Run("horizon_sweep", "mlp", seeds=(0,), settings=settings, steps=20_000, expected=0.25)
-        for settings in ({"target": "absolute"}, {"frame": "push"})
-    ),
+    *(Run("horizon_sweep", "mlp", seeds=(0,), settings=settings, **FIXED) for settings in OTHERWISE),
     Run("length_sweep", "ridge", seeds=(0,), expected=0.05),
     *(Run("length_sweep", **limits, seeds=(0,)) for limits in APART),
     *(Run("meta_noisy", model, expected=META[model]) for model in ("multitask", *ADAPTING)),
     *(Run("meta_objects", model, seeds=(0,), expected=5) for model in ("multitask", "gnn", *ADAPTING)),
     *(Run("ood", model, seeds=(0,), minutes=3) for model in ("multitask", "maml", "gnn", "gnn_context")),
+    Run("rollout", "persistence", seeds=(0,), expected=0.05),
     *(Run("rollout", **limits, seeds=(0,)) for limits in APART),
+    *(Run("rollout", "mlp", seeds=(0,), settings=settings, **FIXED) for settings in OTHERWISE),
+    Run("distribution", "persistence", seeds=(0,), expected=0.05),
     Run("distribution", "mlp_gaussian", seeds=(0,), steps=20_000, expected=0.2),
     *(Run("distribution", model, seeds=(0,), steps=800, expected=0.9) for model in ("gnn_noise", "flow", "cvae")),
 )
@@ -118,9 +121,11 @@ def table(plan: Sequence[Run]) -> str:
 
 
 def written(page: str) -> str:
-    """Returns docs/runs.md with the table of the plan between its two marks."""
-    before, _, rest = page.partition(BEGIN)
-    _, _, after = rest.partition(END)
+    """Returns docs/runs.md with the table of the plan between its two marks; raises `RunError` where one is missing."""
+    before, begin, rest = page.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not (begin and end):
+        raise RunError(f"docs/runs.md lacks the mark {(END if begin else BEGIN).strip()}")
     return before + BEGIN + table(PLAN) + END + after
 
 
@@ -144,13 +149,29 @@ def make(run: Run, seed: int) -> bool:
     return done
 
 
+def jobs(text: str) -> int:
+    """Reads a number of runs at a time; raises `ValueError` unless it is 1 or more."""
+    if int(text) < 1:
+        raise ValueError(text)
+    return int(text)
+
+
 def main() -> int:
-    """Tells what will run and how long it takes, then runs it."""
+    """Tells what will run and how long it takes, then runs it; or says in a sentence why it cannot."""
+    try:
+        return asked()
+    except RunError as error:
+        print(f"small.py: {error}", file=sys.stderr)
+        return error.exit_code
+
+
+def asked() -> int:
+    """Does what the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plan", action="store_true", help="only tell what would run")
     parser.add_argument("--table", action="store_true", help="write the table into docs/runs.md")
     parser.add_argument("--task", choices=sorted({run.task for run in PLAN}), help="one task alone")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="runs at a time; default: one a core")
+    parser.add_argument("--jobs", type=jobs, default=os.cpu_count(), help="runs at a time; default: one a core")
     chosen = parser.parse_args()
     plan = [run for run in PLAN if chosen.task in (None, run.task)]
     if chosen.table:
@@ -160,10 +181,10 @@ def main() -> int:
     for run, seed in wanted:
         print(f"{run.task:14} {run.name:20} seed {seed}  {60 * hours(run):6.0f} min")
     total = sum(hours(run) for run, _ in wanted)
-    print(f"{len(wanted)} runs are missing: {total:.1f} core-hours, about {total / max(1, chosen.jobs):.1f} hours here")
+    print(f"{len(wanted)} runs are missing: {total:.1f} core-hours, about {total / chosen.jobs:.1f} hours here")
     if chosen.plan:
         return 0
-    with ThreadPoolExecutor(max(1, chosen.jobs)) as pool:
+    with ThreadPoolExecutor(chosen.jobs) as pool:
         done = list(pool.map(lambda one: make(*one), wanted))
     return 0 if all(done) else 1
 

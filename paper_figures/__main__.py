@@ -19,9 +19,10 @@ def scripts() -> list[Path]:
 
 def main(arguments: list[str]) -> int:
     """Runs all scripts with the same options, tells how long each took and what it wrote; returns 1 if one failed."""
-    options = argparse.ArgumentParser(add_help=False)
-    options.add_argument("--out", type=Path, default=HERE / "out")
-    out, failed = options.parse_known_args(arguments)[0].out, []
+    options = argparse.ArgumentParser(prog="paper_figures", description=__doc__)
+    options.add_argument("--out", type=Path, default=HERE / "out", help="folder of the figures")
+    options.add_argument("--results", type=Path, default=HERE.parent / "leaderboard" / "results", help="records")
+    out, failed = options.parse_args(arguments).out, []
     for script in scripts():
         begin = time.time()
         done = subprocess.run([sys.executable, str(script), *arguments], check=False)

@@ -44,7 +44,7 @@ def main(draw: Callable[[Path, Path], None], arguments: Sequence[str] | None = N
     try:
         with mpl.rc_context(fname=STYLE):
             draw(options.results, options.out)
-    except (RunError, UsageError) as error:
+    except (RunError, UsageError, OSError) as error:
         print(f"{Path(sys.modules[draw.__module__].__file__ or '').name}: {error}", file=sys.stderr)
-        return error.exit_code
+        return error.exit_code if isinstance(error, RunError | UsageError) else 1
     return 0

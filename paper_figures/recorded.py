@@ -90,8 +90,8 @@ class Recorded:
         fewest, most = int(seeds.min()), int(seeds.max())
         many = f"{most}" if fewest == most else f"{fewest} to {most}"
         over = "domains" if most == 1 else "domains and seeds"
-        limits = {label(record): record.provenance.budget["steps"] for record in self.records}
-        cut = [f"{int(limits[name]):,} of {name}" for name in self.names if limits.get(name) is not None]
+        limits = {label(record): record.provenance.budget["steps"] or 0 for record in self.records}
+        cut = [f"{limits[name]:,.0f} of {name}" for name in self.names if limits[name]]
         limited = f"; steps a fit, at most: {', '.join(cut)}" if cut else ""
         return (
             f"task {self.task}, scale {self.scale}: {self.frame['domain'].nunique()} test domains, "

@@ -81,6 +81,15 @@ def test_without_opengl_one_sentence_says_so(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("script", ["table1.py", "findings.py"])
+def test_where_nothing_can_be_written_one_sentence_says_so(script: str, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    command = [sys.executable, str(FOLDER / script), "--out", str(tmp_path / "file")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1), done.stderr
+    assert done.stderr.startswith(f"{script}: ") and str(tmp_path / "file") in done.stderr
+
+
 def test_one_that_fails_is_named_and_the_others_are_drawn(tmp_path: Path) -> None:
     scripts = {"good": "open('fresh.png', 'w')", "bad": "raise SystemExit(1)", "last": ""}
     for name, code in scripts.items():

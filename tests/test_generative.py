@@ -15,6 +15,7 @@ from dlobench.bench.model import Setting
 from dlobench.bench.questions import commanded
 from dlobench.errors import RunError
 from dlobench.nn.budget import Budget, Log
+from dlobench.nn.execution import noise_root
 from dlobench.nn.fit import Plan, descend
 from dlobench.nn.missed import NUMBERS, Missed, Residual, divided
 from dlobench.trajectories import Trajectories
@@ -50,6 +51,13 @@ def test_residuals_of_validation_windows_and_samples_have_the_same_covariance(do
 def test_a_spread_needs_validation(domains: list[Trajectories]) -> None:
     with pytest.raises(RunError, match="needs validation trajectories"):
         fitted(gaussian.MlpGaussian, domains, [])
+
+
+def test_an_action_that_is_not_finite_is_told(domains: list[Trajectories]) -> None:
+    executed = domains[0].executed.copy()
+    executed[0, 0, 0] = np.nan
+    with pytest.raises(RunError, match="not finite"):
+        noise_root([replace(domains[0], executed=executed), *domains[1:]])
 
 
 def test_noise_is_what_was_executed_beyond_the_command(domains: list[Trajectories]) -> None:

@@ -252,6 +252,11 @@ def test_what_cannot_be_learnt_from_is_refused(of: Any, data: list[Trajectories]
         of(steps=2).fit(data, [], Setting(horizon=9, K=(0,)))
     with pytest.raises(RunError, match="horizon = 0 does not fit"):
         of(steps=2).fit(data, [], Setting(horizon=0, K=(0,)))
+    model = of(steps=2)
+    model.fit(data, [], Setting(horizon=2, K=(0,)))
+    query = data[0].windows(2)[0]
+    with pytest.raises(RunError, match="0 pushes ahead"):
+        model.predict(replace(query, actions=query.actions[:, :0]), 1)
     bare = replace(data[0], dlo_mask=np.zeros(32, bool))
     with pytest.raises(RunError, match="domain 0 of 1 has no segment"):
         of(steps=2).fit([bare], [], Setting(horizon=2, K=(0,)))

@@ -30,6 +30,7 @@ from dlobench.bench.plugins import Kind, find
 from dlobench.cli import app, main
 from dlobench.data.sets import SETS
 from dlobench.data.store import Store
+from dlobench.errors import RunError
 
 ROOT = Path(__file__).parents[1]
 PAGES = [
@@ -304,3 +305,20 @@ def test_the_boards_top_is_up_to_date() -> None:
     readme = (ROOT / "README.md").read_text()
     assert top["written"](readme, ROOT / "leaderboard" / "leaderboard.csv") == readme, "python leaderboard/top.py"
     assert readme.count("\n| 1 | `") == 1
+
+
+@pytest.mark.parametrize("mark", ["start", "end"])
+def test_a_readme_that_lost_a_mark_is_not_written(mark: str) -> None:
+    top = runpy.run_path(str(ROOT / "leaderboard" / "top.py"))
+    broken = (ROOT / "README.md").read_text().replace(f"[{mark}:board]", "")
+    with pytest.raises(RunError, match=f"lacks the mark .*{mark}:board"):
+        top["written"](broken, ROOT / "leaderboard" / "leaderboard.csv")
+
+
+@pytest.mark.parametrize("kept", [None, 0, 60, 5000])
+def test_no_top_is_made_of_half_a_board(kept: int | None, tmp_path: Path) -> None:
+    top, board = runpy.run_path(str(ROOT / "leaderboard" / "top.py")), tmp_path / "leaderboard.csv"
+    if kept is not None:
+        board.write_bytes((ROOT / "leaderboard" / "leaderboard.csv").read_bytes()[:kept])
+    with pytest.raises(RunError, match="dlobench leaderboard build"):
+        top["table"](board)

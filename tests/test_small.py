@@ -11,6 +11,7 @@ import pytest
 
 from dlobench.bench.plugins import find, load_model, load_task, parse_settings
 from dlobench.bench.results import read_all
+from dlobench.errors import RunError
 
 FILE = Path(__file__).parent.parent / "leaderboard" / "small.py"
 
@@ -48,6 +49,13 @@ def test_all_of_it_takes_ten_hours_on_two_cores() -> None:
 def test_the_page_tells_the_plan() -> None:
     page = small.PAGE.read_text()
     assert small.written(page) == page, "python leaderboard/small.py --table"
+
+
+@pytest.mark.parametrize("mark", ["BEGIN", "END"])
+def test_a_page_that_lost_a_mark_is_not_written(mark: str) -> None:
+    broken = small.PAGE.read_text().replace(getattr(small, mark), "")
+    with pytest.raises(RunError, match="lacks the mark"):
+        small.written(broken)
 
 
 def test_what_is_recorded_is_not_made_again(monkeypatch: pytest.MonkeyPatch) -> None:

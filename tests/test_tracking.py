@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -123,6 +124,20 @@ def test_online_without_a_key_is_one_sentence(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr("sys.stdin", open("/dev/null"))  # noqa: PTH123, SIM115
     with tracking.tracker("online", tmp_path) as one, pytest.raises(RunError, match=r"W&B does not begin a run: .*key"):
         one.begin("meta-mini-mlp@1", 0, {})
+
+
+def test_a_mode_of_the_environment_that_is_none_is_one_sentence(tmp_path: Path) -> None:
+    code = "import sys, pathlib; from dlobench.bench import tracking\n"
+    code += "with tracking.tracker('offline', pathlib.Path(sys.argv[1])) as one: one.begin('a', 0, {})"
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(tmp_path)],
+        env={**os.environ, "WANDB_MODE": "nonsense"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert "RunError: W&B does not begin a run: " in done.stderr and "nonsense" in done.stderr
 
 
 def test_a_picture_shows_prediction_over_truth() -> None:

@@ -27,6 +27,6 @@ class Limits:
 def limits(seconds: float, gigabytes: float | None) -> Limits:
     """Returns limits of time and memory (GB); raises `UsageError` for one that is not a finite number above 0."""
     for option, value in (("--time-limit", seconds), ("--memory-limit", gigabytes)):
-        if value is not None and not (math.isfinite(value) and value > 0):
+        if value is not None and not (math.isfinite(1e9 * value) and value > 0):
             raise UsageError(f"{option} {value} is not a finite number above 0")
     return Limits(seconds) if gigabytes is None else Limits(seconds, math.ceil(gigabytes * 1e9))

@@ -74,16 +74,16 @@ class Wandb(Tracker):
 
     def begin(self, name: str, seed: int, config: Mapping[str, Any]) -> None:
         """Begins a run with an id that follows from name and seed: online, a run that was stopped goes on in it."""
-        settings = self._wandb.Settings(
-            silent=True,
-            console="off",
-            disable_git=True,
-            save_code=False,
-            x_disable_stats=True,
-            x_disable_meta=True,
-            init_timeout=60,
-        )
         try:
+            settings = self._wandb.Settings(
+                silent=True,
+                console="off",
+                disable_git=True,
+                save_code=False,
+                x_disable_stats=True,
+                x_disable_meta=True,
+                init_timeout=60,
+            )
             self._folder.mkdir(parents=True, exist_ok=True)
             self._run = self._wandb.init(
                 project="dlobench",
@@ -96,7 +96,7 @@ class Wandb(Tracker):
                 config=dict(config),
                 settings=settings,
             )
-        except (self._wandb.Error, OSError) as error:
+        except (self._wandb.Error, OSError, ValueError) as error:
             raise RunError(f"W&B does not begin a run: {' '.join(str(error).split())}; --wandb offline may") from error
 
     def fitted(self, name: str, report: FitReport) -> None:

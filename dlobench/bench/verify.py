@@ -185,7 +185,8 @@ def _rescored(cell: CellScore, mine: Sequence[Kept], task: Task) -> Iterator[str
     found = np.concatenate(errors)
     ratio = found.sum() / said.sum() if said.sum() else np.inf
     spread = np.sqrt(np.square(found - ratio * said).sum()) / said.sum() if said.sum() else 0.0
-    if found.any() and abs(ratio - 1) > FAR * spread:
+    # Only upwards: where the few windows that err most are not among the kept, these err far less than all, and alike.
+    if found.any() and ratio - 1 > FAR * spread:
         yield f"{cell.id}: the kept predictions err {ratio:.3g} times as much as the record says of all"
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from dlobench.errors import RunError
 from dlobench.trajectories import Trajectories
 
 
@@ -18,8 +19,13 @@ def travelled(trajectories: Trajectories) -> Trajectories:
 
 
 def noise_root(domains: Sequence[Trajectories]) -> Tensor:
-    """Returns a root (2, 2), m, of the covariance of where the pusher went about the actions that are told."""
+    """Returns a root (2, 2), m, of the covariance of where the pusher went about the actions that are told.
+
+    Raises `RunError` for an action that is not finite.
+    """
     missed = np.concatenate([(travelled(d).executed - d.executed).reshape(-1, 2) for d in domains], dtype=np.float64)
+    if not np.isfinite(missed).all():
+        raise RunError("a training domain holds an action that is not finite")
     return root(torch.from_numpy(missed.T @ missed / len(missed)))
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dlobench.errors import UsageError
+from dlobench.errors import RunError, UsageError
 from dlobench.nn.budget import Budget, Log
 from dlobench.nn.fit import Plan, descend, positive
 from dlobench.nn.geometry import Scene
@@ -142,9 +142,12 @@ def fit(
 def predict(network: GraphNetwork, query: Query, device: str, context: Tensor | None = None) -> Prediction:
     """Returns segments (1, B, 32, 2) and bodies (1, B, 3, 3), the mean of the world's sight and that of its mirror.
 
-    `context` (C,) is what is known of the domain.
+    `context` (C,) is what is known of the domain. Raises `RunError` for a query without an action.
     """
-    dlo, bodies = np.zeros_like(query.dlo[..., :2]), np.array(query.bodies)
+    if query.horizon < 1:
+        raise RunError("the query looks 0 pushes ahead: there is no action to predict by")
+    dlo = np.zeros((*query.dlo.shape[:2], 2), np.float32)
+    bodies = np.array(query.bodies, np.float32)
     for first in range(0, len(query), CHUNK):
         part = slice(first, first + CHUNK)
         start = scene(query.take(np.arange(len(query))[part]), device)
