@@ -21,6 +21,7 @@ from dlobench.errors import RunError, UsageError
 
 PLUGIN = "plugin.py"  # what a record's plugin is called beside it
 FAR = 8.0  # standard errors that the error of kept windows may be away from that of all
+LITTLE = 0.01  # of the error of all: less than that kept windows do not err by having missed the tail
 FEW = 16  # windows, below which their mean says too little of all
 
 
@@ -185,8 +186,9 @@ def _rescored(cell: CellScore, mine: Sequence[Kept], task: Task) -> Iterator[str
     found = np.concatenate(errors)
     ratio = found.sum() / said.sum() if said.sum() else np.inf
     spread = np.sqrt(np.square(found - ratio * said).sum()) / said.sum() if said.sum() else 0.0
-    # Only upwards: where the few windows that err most are not among the kept, these err far less than all, and alike.
-    if found.any() and ratio - 1 > FAR * spread:
+    # Where the few windows that err most are not among the kept, these err far less than all, and alike: no spread of
+    # theirs tells how far.
+    if found.any() and (ratio - 1 > FAR * spread or ratio < LITTLE):
         yield f"{cell.id}: the kept predictions err {ratio:.3g} times as much as the record says of all"
 
 
