@@ -106,6 +106,10 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
         signal.signal(signal.SIGINT, interrupt)
     try:
+        if "" in sys.argv:  # as an unset variable of a shell gives it: `--data ""` would be the folder one is in
+            raise UsageError(
+                f"{sys.argv[sys.argv.index('') - 1]} is followed by nothing; give it a value or leave it away"
+            )
         code = app(standalone_mode=False) or 0
     except (UsageError, RunError) as error:
         if os.environ.get("DLOBENCH_DEBUG"):

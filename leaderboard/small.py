@@ -58,9 +58,13 @@ APART: tuple[dict[str, Any], ...] = (
     {"model": "gnn", "steps": 800, "expected": 0.6},
 )
 OTHERWISE: tuple[dict[str, Any], ...] = ({"target": "absolute"}, {"frame": "push"})  # other representations
+# The race of decision 22: nothing but the clock ends these fits
+UNTIRING: dict[str, Any] = {"steps": 10**9, "patience": 10**6}
+EQUAL = 4.0  # minutes
 PLAN = (
     *(Run("meta", model, seeds=(0,), expected=0.1) for model in FLOORS),
     *(Run("meta", model, expected=minutes) for model, minutes in META.items()),
+    *(Run("meta", model, settings=UNTIRING, minutes=EQUAL) for model in ("multitask", "finetune", "maml")),
     Run("meta", "oracle_parameters", seeds=(0,), expected=6.5),
     *(Run("horizon_sweep", model, seeds=(0,), expected=0.05) for model in FLOORS),
     *(Run("horizon_sweep", **limits, seeds=(0,)) for limits in APART),
@@ -69,7 +73,7 @@ PLAN = (
     *(Run("length_sweep", **limits, seeds=(0,)) for limits in APART),
     *(Run("meta_noisy", model, expected=META[model]) for model in ("multitask", *ADAPTING)),
     *(Run("meta_objects", model, seeds=(0,), expected=5) for model in ("multitask", "gnn", *ADAPTING)),
-    *(Run("ood", model, seeds=(0,), minutes=3) for model in ("multitask", "maml", "gnn", "gnn_context")),
+    *(Run("ood", model, seeds=(0,), minutes=2) for model in ("multitask", "maml", "gnn", "gnn_context")),
     Run("rollout", "persistence", seeds=(0,), expected=0.05),
     *(Run("rollout", **limits, seeds=(0,)) for limits in APART),
     *(Run("rollout", "mlp", seeds=(0,), settings=settings, **FIXED) for settings in OTHERWISE),
@@ -85,17 +89,24 @@ def fits(task: str) -> int:
 
 
 def pending(plan: Sequence[Run]) -> Iterator[tuple[Run, int]]:
-    """Yields the runs and seeds of which no record stands in the results."""
+    """Yields the runs and seeds of which no record stands in the results.
+
+    A hyperparameter that a record does not name came later, and its default is what had been before.
+    """
     there = [
         (r.task, r.model, r.seed, r.provenance.hyperparameters, r.provenance.budget)
         for r in (read_all(RESULTS) if RESULTS.exists() else [])
         if r.scale == "small" and not r.failures
     ]
     for run in plan:
-        hyper = hyperparameters(load_model(run.model).model) | run.settings
-        for seed in run.seeds:
-            if (run.task, run.model, seed, hyper, {"steps": run.steps, "minutes": run.minutes}) not in there:
-                yield run, seed
+        defaults = hyperparameters(load_model(run.model).model)
+        wanted = defaults | run.settings, {"steps": run.steps, "minutes": run.minutes}
+        found = [
+            seed
+            for task, model, seed, hyper, budget in there
+            if (task, model) == (run.task, run.model) and (defaults | hyper, budget) == wanted
+        ]
+        yield from ((run, seed) for seed in run.seeds if seed not in found)
 
 
 def hours(run: Run) -> float:
@@ -177,7 +188,7 @@ def asked() -> int:
     if chosen.table:
         PAGE.write_text(written(PAGE.read_text()))
         return 0
-    wanted = list(pending(plan))
+    wanted = sorted(pending(plan), key=lambda one: one[1])  # a first seed of everything comes first
     for run, seed in wanted:
         print(f"{run.task:14} {run.name:20} seed {seed}  {60 * hours(run):6.0f} min")
     total = sum(hours(run) for run, _ in wanted)

@@ -80,10 +80,14 @@ class Cvae(Model):
 
     sampler: Sampler = field(init=False, repr=False, compare=False)
 
-    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
-        """Learns network, execution noise and autoencoder; keeps the weights that are best on validation domains."""
-        positive(self, "latent", "code_width", "code_batch")
-        how = Rollout(
+    def __post_init__(self) -> None:
+        """Raises `UsageError` for hyperparameters that nothing can be learned with."""
+        positive(self, "latent", "code_width", "code_batch", "code_steps", "code_rate")
+        self._how()
+
+    def _how(self) -> Rollout:
+        """Returns what to learn."""
+        return Rollout(
             width=self.width,
             learning_rate=self.learning_rate,
             batch=self.batch,
@@ -91,8 +95,11 @@ class Cvae(Model):
             unrolled=self.unrolled,
             body_weight=self.body_weight,
         )
+
+    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
+        """Learns network, execution noise and autoencoder; keeps the weights that are best on validation domains."""
         self.sampler = learn(
-            how,
+            self._how(),
             lambda of: Autoencoder(of, self.code_width, self.latent),
             train,
             valid,

@@ -59,10 +59,14 @@ class Finetune(Model):
     network: Network = field(init=False, repr=False, compare=False)
     chosen: dict[int, tuple[float, int]] = field(init=False, repr=False, compare=False)  # rate and steps by K
 
-    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
-        """Pools the windows of all training domains, stops on the validation domains, and chooses rate and steps."""
+    def __post_init__(self) -> None:
+        """Raises `UsageError` for hyperparameters that nothing can be learned with."""
         positive(self, "most", "draws")
-        how = Regression(
+        self._how()
+
+    def _how(self) -> Regression:
+        """Returns what to learn."""
+        return Regression(
             width=self.width,
             depth=self.depth,
             bodies=False,
@@ -70,8 +74,11 @@ class Finetune(Model):
             batch=self.batch,
             plan=Plan(self.steps, self.learning_rate, self.patience),
         )
+
+    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
+        """Pools the windows of all training domains, stops on the validation domains, and chooses rate and steps."""
         self.network = regress(
-            how,
+            self._how(),
             train,
             valid,
             horizon=setting.horizon,

@@ -90,10 +90,14 @@ class Flow(Model):
 
     sampler: Sampler = field(init=False, repr=False, compare=False)
 
-    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
-        """Learns network, execution noise and flow; keeps the weights that are best on the validation domains."""
-        positive(self, "flow_width", "flow_batch", "midpoints")
-        how = Rollout(
+    def __post_init__(self) -> None:
+        """Raises `UsageError` for hyperparameters that nothing can be learned with."""
+        positive(self, "flow_width", "flow_batch", "flow_steps", "flow_rate", "midpoints")
+        self._how()
+
+    def _how(self) -> Rollout:
+        """Returns what to learn."""
+        return Rollout(
             width=self.width,
             learning_rate=self.learning_rate,
             batch=self.batch,
@@ -101,8 +105,11 @@ class Flow(Model):
             unrolled=self.unrolled,
             body_weight=self.body_weight,
         )
+
+    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
+        """Learns network, execution noise and flow; keeps the weights that are best on the validation domains."""
         self.sampler = learn(
-            how,
+            self._how(),
             lambda of: Velocity(of, self.flow_width, self.midpoints),
             train,
             valid,

@@ -81,10 +81,14 @@ class GnnContext(Model):
     encoder: PushEncoder = field(init=False, repr=False, compare=False)
     known: Tensor = field(init=False, repr=False, compare=False)  # (C + 1,) of the domain
 
-    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
-        """Learns from tasks of all training domains; keeps the weights that are best on those of validation domains."""
+    def __post_init__(self) -> None:
+        """Raises `UsageError` for hyperparameters that nothing can be learned with."""
         positive(self, "context", "tasks", "points")
-        how = Rollout(
+        self._how()
+
+    def _how(self) -> Rollout:
+        """Returns what to learn."""
+        return Rollout(
             width=self.width,
             learning_rate=self.learning_rate,
             batch=self.batch,
@@ -92,6 +96,9 @@ class GnnContext(Model):
             unrolled=self.unrolled,
             body_weight=self.body_weight,
         )
+
+    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
+        """Learns from tasks of all training domains; keeps the weights that are best on those of validation domains."""
         supports = [K for K in setting.K if K > 0] or [1]
 
         def source(scale: float) -> Seen:
@@ -99,7 +106,7 @@ class GnnContext(Model):
             return Seen(encoder, supports, tasks=self.tasks, points=self.points)
 
         self.network, found = fit(
-            how,
+            self._how(),
             train,
             valid,
             horizon=setting.horizon,

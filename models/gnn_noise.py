@@ -37,9 +37,13 @@ class GnnNoise(Model):
     network: GraphNetwork = field(init=False, repr=False, compare=False)
     factor: Tensor = field(init=False, repr=False, compare=False)  # (2, 2), m: a root of the noise's covariance
 
-    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
-        """Learns network and noise from all training domains; keeps the weights that are best on validation domains."""
-        how = Rollout(
+    def __post_init__(self) -> None:
+        """Raises `UsageError` for hyperparameters that nothing can be learned with."""
+        self._how()
+
+    def _how(self) -> Rollout:
+        """Returns what to learn."""
+        return Rollout(
             width=self.width,
             learning_rate=self.learning_rate,
             batch=self.batch,
@@ -47,8 +51,11 @@ class GnnNoise(Model):
             unrolled=self.unrolled,
             body_weight=self.body_weight,
         )
+
+    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
+        """Learns network and noise from all training domains; keeps the weights that are best on validation domains."""
         self.network, _ = fit(
-            how,
+            self._how(),
             [travelled(domain) for domain in train],
             [travelled(domain) for domain in valid],
             horizon=setting.horizon,

@@ -51,9 +51,13 @@ class Maml(Model):
     network: Network = field(init=False, repr=False, compare=False)
     rates: Tensor = field(init=False, repr=False, compare=False)  # one an adapting layer, or a weight
 
-    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
-        """Learns the weights to start from and the inner rates; validates on adapted models of unseen domains."""
-        how = MetaLearning(
+    def __post_init__(self) -> None:
+        """Raises `UsageError` for hyperparameters that nothing can be learned with."""
+        self._how()
+
+    def _how(self) -> MetaLearning:
+        """Returns what to learn."""
+        return MetaLearning(
             N=self.N,
             K_train=self.K_train,
             queries=self.queries,
@@ -66,8 +70,11 @@ class Maml(Model):
             patience=self.patience,
             target=self.target,
         )
+
+    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
+        """Learns the weights to start from and the inner rates; validates on adapted models of unseen domains."""
         self.network, self.rates = learn(
-            how,
+            self._how(),
             meta_loss,
             train,
             valid,

@@ -96,10 +96,13 @@ class MamlLearn2learn(Model):
     network: Network = field(init=False, repr=False, compare=False)
     rates: Tensor = field(init=False, repr=False, compare=False)  # (1,)
 
-    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
-        """Learns the weights to start from and the inner rate; raises `RunError` when learn2learn is missing."""
-        learn2learn()
-        how = MetaLearning(
+    def __post_init__(self) -> None:
+        """Raises `UsageError` for hyperparameters that nothing can be learned with."""
+        self._how()
+
+    def _how(self) -> MetaLearning:
+        """Returns what to learn."""
+        return MetaLearning(
             N=self.N,
             K_train=self.K_train,
             queries=self.queries,
@@ -112,8 +115,12 @@ class MamlLearn2learn(Model):
             patience=self.patience,
             target=self.target,
         )
+
+    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
+        """Learns the weights to start from and the inner rate; raises `RunError` when learn2learn is missing."""
+        learn2learn()
         self.network, self.rates = learn(
-            how,
+            self._how(),
             looped_loss,
             train,
             valid,

@@ -42,9 +42,13 @@ class Mlp(Model):
 
     network: Network = field(init=False, repr=False, compare=False)
 
-    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
-        """Pools the windows of all training domains and stops on the validation domains."""
-        how = Regression(
+    def __post_init__(self) -> None:
+        """Raises `UsageError` for hyperparameters that nothing can be learned with."""
+        self._how()
+
+    def _how(self) -> Regression:
+        """Returns what to learn."""
+        return Regression(
             width=self.width,
             depth=self.depth,
             bodies=True,
@@ -55,8 +59,11 @@ class Mlp(Model):
             normalise=self.normalise,
             epochs=self.epochs,
         )
+
+    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
+        """Pools the windows of all training domains and stops on the validation domains."""
         self.network = regress(
-            how,
+            self._how(),
             train,
             valid,
             horizon=setting.horizon,

@@ -38,11 +38,13 @@ class MlpGaussian(Model):
     network: Network = field(init=False, repr=False, compare=False)
     factor: Tensor = field(init=False, repr=False, compare=False)  # (64, 64): its square is the covariance, scaled
 
-    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
-        """Fits the mean to the training domains, the covariance to the validation domains; raises without these."""
-        if not sum(map(len, valid)):
-            raise RunError("the spread of residuals needs validation trajectories, and there are none")
-        how = Regression(
+    def __post_init__(self) -> None:
+        """Raises `UsageError` for hyperparameters that nothing can be learned with."""
+        self._how()
+
+    def _how(self) -> Regression:
+        """Returns what to learn."""
+        return Regression(
             width=self.width,
             depth=self.depth,
             bodies=True,
@@ -50,8 +52,13 @@ class MlpGaussian(Model):
             batch=self.batch,
             plan=Plan(self.steps, self.learning_rate, self.patience),
         )
+
+    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
+        """Fits the mean to the training domains, the covariance to the validation domains; raises without these."""
+        if not sum(map(len, valid)):
+            raise RunError("the spread of residuals needs validation trajectories, and there are none")
         self.network = regress(
-            how,
+            self._how(),
             train,
             valid,
             horizon=setting.horizon,

@@ -32,9 +32,13 @@ class Multitask(Model):
 
     network: Network = field(init=False, repr=False, compare=False)
 
-    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
-        """Pools the windows of all training domains and stops on the validation domains."""
-        how = Regression(
+    def __post_init__(self) -> None:
+        """Raises `UsageError` for hyperparameters that nothing can be learned with."""
+        self._how()
+
+    def _how(self) -> Regression:
+        """Returns what to learn."""
+        return Regression(
             width=self.width,
             depth=self.depth,
             bodies=False,
@@ -42,8 +46,11 @@ class Multitask(Model):
             batch=self.batch,
             plan=Plan(self.steps, self.learning_rate, self.patience),
         )
+
+    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
+        """Pools the windows of all training domains and stops on the validation domains."""
         self.network = regress(
-            how,
+            self._how(),
             train,
             valid,
             horizon=setting.horizon,

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torch.nn.functional import scaled_dot_product_attention
 
 from dlobench.bench.model import Model, Setting
+from dlobench.errors import UsageError
 from dlobench.nn.episodes import Batch, draw
 from dlobench.nn.fit import CHUNK, Plan, descend, positive
 from dlobench.nn.networks import weighted_mse
@@ -87,9 +88,14 @@ class NeuralProcess(Model):
     scaling: Scaling = field(init=False, repr=False, compare=False)
     known: Known = field(init=False, repr=False, compare=False)
 
+    def __post_init__(self) -> None:
+        """Raises `UsageError` for hyperparameters that nothing can be learned with."""
+        positive(self, "N", "queries", "points", "width", "heads", "steps", "learning_rate")
+        if self.width % self.heads:
+            raise UsageError(f"width = {self.width} is no multiple of heads = {self.heads}, which share it")
+
     def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
         """Learns from tasks of all training domains; keeps the weights that are best on those of validation domains."""
-        positive(self, "N", "queries", "points", "width", "heads", "steps", "learning_rate")
         windows, self.scaling = standardise(
             train, horizon=setting.horizon, bodies=False, target=self.target, device=self.device
         )

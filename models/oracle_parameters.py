@@ -52,9 +52,13 @@ class OracleParameters(Model):
 
     network: GraphNetwork = field(init=False, repr=False, compare=False)
 
-    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
-        """Learns from all training domains; keeps the weights that are best on the validation domains."""
-        how = Rollout(
+    def __post_init__(self) -> None:
+        """Raises `UsageError` for hyperparameters that nothing can be learned with."""
+        self._how()
+
+    def _how(self) -> Rollout:
+        """Returns what to learn."""
+        return Rollout(
             width=self.width,
             learning_rate=self.learning_rate,
             batch=self.batch,
@@ -62,8 +66,11 @@ class OracleParameters(Model):
             unrolled=self.unrolled,
             body_weight=self.body_weight,
         )
+
+    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
+        """Learns from all training domains; keeps the weights that are best on the validation domains."""
         self.network, _ = fit(
-            how,
+            self._how(),
             train,
             valid,
             horizon=setting.horizon,

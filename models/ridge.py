@@ -33,10 +33,13 @@ class Ridge(Model):
     scaling: Scaling = field(init=False, repr=False, compare=False)
     coefficients: Tensor = field(init=False, repr=False, compare=False)  # (F + 1, 64), the last of the constant
 
-    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
-        """Solves for every penalty and keeps the best."""
+    def __post_init__(self) -> None:
+        """Raises `UsageError` for a penalty that is none."""
         if self.penalty is not None:
             positive(self, "penalty")
+
+    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
+        """Solves for every penalty and keeps the best."""
         windows, self.scaling = standardise(
             train, horizon=setting.horizon, bodies=self.bodies, target="displacement", device=self.device
         )

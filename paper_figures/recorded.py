@@ -110,7 +110,8 @@ class Recorded:
 def choose(records: Sequence[Record], *tasks: str) -> list[Record]:
     """Returns the records to draw: of the first task that has any, at its largest scale, over one set of data.
 
-    Of each `label` it is the configuration with most seeds, of several the newest. Raises `RunError` that says what to
+    Of each `label` it is a configuration whose fits no clock ended, where there is one, the one with most seeds, of
+    several the newest. Raises `RunError` that says what to
     run where there is none.
     """
     task = next((task for task in tasks if any(record.task == task for record in records)), None)
@@ -131,8 +132,9 @@ def choose(records: Sequence[Record], *tasks: str) -> list[Record]:
     for record in found:
         configs.setdefault(label(record), {}).setdefault(record.config, []).append(record)
 
-    def worth(of: list[Record]) -> tuple[int, str]:
-        return len(of), max(record.provenance.created for record in of)
+    def worth(of: list[Record]) -> tuple[bool, int, str]:
+        untimed = all(record.provenance.budget["minutes"] is None for record in of)
+        return untimed, len(of), max(record.provenance.created for record in of)
 
     return [record for name in sorted(configs, key=place) for record in max(configs[name].values(), key=worth)]
 

@@ -178,6 +178,33 @@ def test_a_data_folder_that_cannot_be_written_is_named(command: tuple[str, ...],
     assert (tmp_path / "mine").read_text() == "mine"
 
 
+@pytest.mark.parametrize(
+    ("model", "setting", "why"),
+    [
+        *(
+            (model, "width=0", "width = 0 is not a positive number")
+            for model in ("mlp", "maml", "finetune", "gnn_context")
+        ),
+        ("mlp", "learning_rate=-1", "learning_rate = -1.0"),
+        ("neural_process", "heads=3", "width = 128 is no multiple of heads = 3"),
+        ("flow", "flow_steps=0", "flow_steps = 0 is not"),
+        ("cvae", "code_rate=0", "code_rate = 0.0 is not"),
+        ("ridge", "penalty=-1", "penalty = -1.0 is not"),
+    ],
+)
+def test_hyperparameters_are_refused_before_there_are_data(
+    model: str, setting: str, why: str, call: Call, tmp_path: Path
+) -> None:
+    done = call("run", "--task", "distribution", "--model", model, "--set", setting)
+    check_failed(done, 2, model, why)
+    assert not (tmp_path / "data").exists(), "nothing was generated"
+
+
+@pytest.mark.parametrize("option", ["--data", "--out", "--model"])
+def test_an_empty_value_is_no_folder(option: str, call: Call) -> None:
+    check_failed(call(*RUN, option, ""), 2, option, "nothing")
+
+
 def test_a_foreign_file_among_the_records_is_named_before_the_run(call: Call, tmp_path: Path) -> None:
     out = tmp_path / "out"
     (out / "meta").mkdir(parents=True)

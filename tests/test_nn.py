@@ -337,10 +337,18 @@ def test_descend_names_step_and_loss_when_it_diverges() -> None:
         )  # fmt: skip
     weight, _ = quadratic()
     growing = iter(range(1000))
-    with pytest.raises(RunError, match=r"diverged at step 25 of 300: loss \d+.*, at first 1"):
+    with pytest.raises(RunError, match=r"diverged at step 50 of 300: loss \d+.*, at first \d+"):
         fit.descend(
             [weight], lambda: 0 * weight.sum() + 3.0 ** next(growing), None, plan=PLAN, budget=Budget(), log=Log()
         )
+
+
+def test_a_first_batch_of_things_that_rest_is_no_measure_of_divergence() -> None:
+    weight, _ = quadratic()
+    losses, steps = iter([1e-9] + [1.0] * 299), list[int]()
+    log = Log([lambda step, *_: steps.append(step)])
+    fit.descend([weight], lambda: 0 * weight.sum() + next(losses), None, plan=PLAN, budget=Budget(), log=log)
+    assert steps[-1] == 300
 
 
 @pytest.mark.parametrize("name", ["mlp", "multitask"])

@@ -157,9 +157,15 @@ def test_table_1_has_the_numbers_of_the_board() -> None:
 
 
 def test_the_largest_scale_and_the_newest_configuration_with_most_seeds_are_chosen() -> None:
-    def made(config: str, seed: int, day: int, scale: str = "small", target: str = "displacement") -> Record:
+    def made(
+        config: str, seed: int, day: int, scale: str = "small", target: str = "displacement", minutes: float | None = None
+    ) -> Record:
         one = record(config=config, seed=seed)
-        about = {"created": f"2026-01-{day:02d}T00:00:00+00:00", "hyperparameters": {"target": target}}
+        about = {
+            "created": f"2026-01-{day:02d}T00:00:00+00:00",
+            "hyperparameters": {"target": target},
+            "budget": {"steps": None, "minutes": minutes},
+        }
         return one.model_copy(update={"scale": scale, "provenance": one.provenance.model_copy(update=about)})
 
     old = [made("aaaaaaaa", seed, 1) for seed in (0, 1)]
@@ -169,6 +175,9 @@ def test_the_largest_scale_and_the_newest_configuration_with_most_seeds_are_chos
     assert [one.config for one in found] == ["bbbbbbbb", "bbbbbbbb", "dddddddd"]
     assert [recorded.label(one) for one in found] == ["mlp", "mlp", "mlp (absolute)"]
     assert recorded.choose(others[2:], "rollout", "meta") == others[2:]
+    timed = [made("ffffffff", seed, 6, minutes=4.0) for seed in (0, 1, 2)]
+    assert [one.config for one in recorded.choose([*timed, *old], "meta")] == ["aaaaaaaa", "aaaaaaaa"]
+    assert recorded.choose(timed, "meta") == timed, "better than none"
     with pytest.raises(RunError, match="`dlobench run --task rollout"):
         recorded.choose(others, "rollout")
 

@@ -66,6 +66,10 @@ def test_what_is_recorded_is_not_made_again(monkeypatch: pytest.MonkeyPatch) -> 
     assert wanted == [("gnn", 7)]
     other = small.Run("meta", "gnn", seeds=(0,), settings={"width": 64})
     assert list(small.pending([other])) == [(other, 0)], "another hyperparameter is another run"
+    earlier = [r.provenance.model_copy(update={"hyperparameters": {"width": 32}}) for r in told]
+    told[:] = [r.model_copy(update={"provenance": about}) for r, about in zip(told, earlier, strict=True)]
+    assert not list(small.pending([small.Run("meta", "gnn", seeds=(0,))])), "the others came later"
+    assert list(small.pending([other])) == [(other, 0)]
     limited = small.Run("meta", "gnn", seeds=(0,), minutes=1.0)
     assert list(small.pending([limited])) == [(limited, 0)], "another budget is another run"
     cut = small.Run("meta", "gnn", seeds=(0,), steps=800)

@@ -116,9 +116,17 @@ def _tested_together(order: Order, fit: Fit) -> list[str]:
     return [f"{of}/{f.domain:05d}" for f in same]
 
 
+def build(order: Order) -> Model:
+    """Returns the model of an order, not yet fitted; raises `UsageError` where it refuses its hyperparameters."""
+    return call(
+        order.plugin.name,
+        lambda: order.plugin.model(seed=order.seed, device=order.device, **order.hyperparameters),
+    )
+
+
 def _fit(order: Order, fit: Fit, parts: Parts, title: str, reporter: Reporter) -> tuple[Model, FitReport]:
     name, task = order.plugin.name, order.task
-    model = call(name, lambda: order.plugin.model(seed=order.seed, device=order.device, **order.hyperparameters))
+    model = build(order)
     curve = list[dict[str, float]]()
     about = f"fitting h = {fit.horizon}" + (f", {fit.trajectories} trajectories" if title else "")
     train, valid = (list(parts[part].values()) for part in ("train", "valid"))

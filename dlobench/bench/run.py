@@ -12,7 +12,7 @@ from typing import Any, Protocol
 from dlobench import machine
 from dlobench.bench import kept, results, weights
 from dlobench.bench.evaluate import summarise
-from dlobench.bench.fitting import Outcome, domain_id, fit_and_score, fit_name, load
+from dlobench.bench.fitting import Outcome, build, domain_id, fit_and_score, fit_name, load
 from dlobench.bench.journal import Finished, Journal, Key
 from dlobench.bench.kept import Kept
 from dlobench.bench.order import Order, recordable
@@ -80,6 +80,7 @@ def run(
         code=results.code_digest(),
     )
     path = out / task.name / order.scale / f"{order.plugin.name}@{config}" / f"seed{order.seed}.json"
+    build(order)  # hyperparameters are better refused now than when the data is there
     for of, spans in sets:
         ensure_data(store, of, spans, executor=executor, reporter=reporter)
     if path.exists() and not force and not (record := results.read(path, out)).failures:

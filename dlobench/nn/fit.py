@@ -17,7 +17,7 @@ from dlobench.trajectories import Prediction, Query
 
 REPORT = 25  # steps between two entries of the learning curve
 WARM = 0.05  # share of a fit in which a cosine rate rises
-DIVERGED = 100.0  # times the first loss
+DIVERGED = 100.0  # times the loss of the first `REPORT` steps: one batch may happen to be of things that rest
 CHUNK = 8192  # windows a forward pass without gradient takes at once
 
 
@@ -69,7 +69,11 @@ class Course:
         Raises `RunError` when the loss is not finite or has grown a hundredfold.
         """
         values = {"loss": total_loss / (step - self.reported)}
-        self.reported, self.first = step, values["loss"] if step == 1 else self.first
+        if not self.reported:
+            self.first = values["loss"]
+        elif self.reported < REPORT and math.isfinite(total_loss):
+            self.first = (total_loss + self.reported * self.first) / step
+        self.reported = step
         if not math.isfinite(values["loss"]) or values["loss"] > DIVERGED * self.first:
             raise RunError(f"diverged at step {step} of {self.total}: loss {values['loss']:g}, at first {self.first:g}")
         if valid_loss is not None and (last or step % self.plan.every == 0):
