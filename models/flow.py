@@ -40,22 +40,22 @@ class Velocity(Residual):
         velocity: Tensor = self.out(self.chain(hidden, extra, exists)) * exists
         return velocity
 
-    def begin(self, noise: Tensor, like: Tensor) -> Tensor:
-        """Returns shapes as large as those of `like` from standard normal noise (B, 64)."""
-        return (noise @ self.spread.T)[:, : like[0].numel()].view_as(like)
+    def begin(self, noise: Tensor, segments: int) -> Tensor:
+        """Returns shapes (B, N, 2) of so many segments from standard normal noise (B, 64)."""
+        return (noise @ self.spread.T)[:, : 2 * segments].view(len(noise), segments, 2)
 
     def loss(self, of: Missed, generator: torch.Generator) -> Tensor:
         """Returns the squared error of the velocity on straight ways (Lipman et al. 2023, equation 23)."""
         device = of.shape.device
         noise = torch.randn(len(of.shape), NUMBERS, generator=generator).to(device)
         time = torch.rand(len(of.shape), generator=generator).to(device)
-        start, t = self.begin(noise, of.shape) * of.exists, time[:, None, None]
+        start, t = self.begin(noise, of.shape.shape[1]) * of.exists, time[:, None, None]
         found: Tensor = self(of.hidden, of.exists, start + t * (of.shape - start), time)
         return (found - of.shape + start).square().sum() / (2 * of.exists.sum())
 
     def draw(self, hidden: Tensor, exists: Tensor, noise: Tensor) -> Tensor:
         """Returns shapes (B, N, 2) from noise (B, 64): midpoint steps along the flow."""
-        shape = self.begin(noise, hidden[..., :2]) * exists
+        shape = self.begin(noise, hidden.shape[1]) * exists
         half = 0.5 / self.steps
         for k in range(self.steps):
             time = noise.new_full((len(noise),), k / self.steps)

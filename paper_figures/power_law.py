@@ -18,7 +18,7 @@ from dlobench.bench.statistics import LEVEL, Array, Interval, interval, resample
 from dlobench.errors import UsageError
 
 TARGET = 1e-3  # m
-ABSURD = 1e10  # pushes: a thousand times all that the paper has, and more than a simulator gives in years
+BEYOND = 100.0  # times the largest size that was measured: farther a law is not asked
 
 
 @dataclass(frozen=True)
@@ -92,14 +92,15 @@ def laws(of: Recorded) -> dict[tuple[str, int], PowerLaw]:
     return out
 
 
-def said(found: Interval) -> str:
-    """Returns pushes as text, with their interval."""
+def said(found: Interval, most: float) -> str:
+    """Returns pushes as text, with their interval; of more than `most` only that they are more."""
+    more = f"> {most:.0e}"
 
     def number(value: float | None) -> str:
-        return f"{value:.1e}" if value is not None and value < ABSURD else "not reached"
+        return f"{value:.1e}" if value is not None and value <= most else more
 
-    if number(found.low) == "not reached":
-        return "not reached"
+    if number(found.low) == more:
+        return more
     return f"{number(found.estimate)} ({number(found.low)} to {number(found.high)})"
 
 
@@ -109,7 +110,7 @@ def curves(axes: Axes, of: Recorded, found: dict[tuple[str, int], PowerLaw], hor
         rows, how = of.where(name=name, horizon=horizon).frame, look(name)
         law = found[name, horizon]
         n = np.sort(rows["pushes"].unique()).astype(float)
-        beyond = np.geomspace(n[-1], 1e8, 20)
+        beyond = np.geomspace(n[-1], BEYOND * n[-1], 20)
         axes.plot(n, MM * law.error(n), color=how["color"], linestyle=how["linestyle"])
         axes.plot(beyond, MM * law.error(beyond), color=how["color"], linestyle=how["linestyle"], linewidth=0.5)
         # A domain that lacks a size moves no point: each error is set beside the domain's own over all of its sizes
@@ -119,7 +120,13 @@ def curves(axes: Axes, of: Recorded, found: dict[tuple[str, int], PowerLaw], hor
         typical = np.exp((logs - of_domain).groupby(rows["pushes"]).mean())
         axes.plot(typical.index, MM * typical, color=how["color"], marker=how["marker"], linestyle="")
     axes.axhline(MM * TARGET, color="0.5", linewidth=0.8)
-    axes.set(xscale="log", yscale="log", title=f"n = {horizon}", xlabel="pushes to train on", xlim=(7e2, 1e8))
+    axes.set(
+        xscale="log",
+        yscale="log",
+        title=f"n = {horizon}",
+        xlabel="pushes to train on",
+        xlim=(7e2, 1.5 * BEYOND * of.frame["pushes"].max()),
+    )
     axes.set_ylim(0.5, 60)
     axes.set_yticks([0.5, 1, 2, 5, 10, 20, 50], ["0.5", "1", "2", "5", "10", "20", "50"])
     axes.minorticks_off()
@@ -153,12 +160,15 @@ def draw(results: Path, out: Path) -> None:
         forest(bottom, of, found, horizon)
     axes[0, 0].set_ylabel("Euclidean error of the typical domain, mm")
     save(figure, "power_law", out, f"{of.footnote()}; thin: beyond what was measured; grey: {MM * TARGET:g} mm{told}")
+    most = BEYOND * int(of.frame["pushes"].max())
     rows = [["model", "n", "exponent b", f"pushes for {MM * TARGET:g} mm"]]
-    rows += [[name, str(n), shown(one.exponent, 1, 3), said(one.pushes)] for (name, n), one in sorted(found.items())]
+    rows += [
+        [name, str(n), shown(one.exponent, 1, 3), said(one.pushes, most)] for (name, n), one in sorted(found.items())
+    ]
     fitted = ", ".join(f"{size:,}" for size in sorted(of.frame["pushes"].unique()))
     note = (
-        f"error = a·n^−b of the typical domain, fitted to {fitted} pushes and extrapolated; not reached: within "
-        f"{ABSURD:.0e} pushes; {of.footnote()}{told}."
+        f"error = a·n^−b of the typical domain, fitted to {fitted} pushes and extrapolated, at most "
+        f"{BEYOND:g} times as far; {of.footnote()}{told}."
     )
     markdown(out / "power_law.md", rows, note)
 

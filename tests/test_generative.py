@@ -144,7 +144,7 @@ def test_noise_of_the_flow_is_spread_as_what_is_missed_of_shorter_shapes_too() -
     along = torch.linspace(0.5, 2, 32)[:, None]
     shape = torch.randn(3000, 1, 1, generator=generator) * along * exists
     model = flow.Velocity(Missed(torch.zeros(3000, 32, 3), exists, shape.expand(-1, -1, 2)), 8, 2)
-    begun = model.begin(torch.randn(4000, NUMBERS, generator=generator), torch.zeros(4000, 20, 2))
+    begun = model.begin(torch.randn(4000, NUMBERS, generator=generator), 20)
     np.testing.assert_allclose(begun.std(0)[:, 0], along[:20, 0], rtol=0.1)
 
 
@@ -156,6 +156,12 @@ def test_what_is_held_back_is_not_learned_from(domains: list[Trajectories]) -> N
         assert len(np.unique(both.reshape(len(both), -1), axis=0)) == len(domain)
     (one,), (again,) = divided([domains[0].take(np.arange(1))])
     assert len(one) == len(again) == 1
+
+
+def test_a_flow_draws_from_a_single_feature_too() -> None:
+    exists, hidden = torch.ones(4, 20, 1), torch.zeros(4, 20, 1)
+    model = flow.Velocity(Missed(hidden, exists, torch.randn(4, 20, 2)), 8, 2)
+    assert model.draw(hidden, exists, torch.randn(4, NUMBERS)).shape == (4, 20, 2)
 
 
 @pytest.mark.parametrize("of", [flow.Flow, cvae.Cvae])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import random
+import re
 from itertools import pairwise
 from pathlib import Path
 
@@ -46,6 +47,22 @@ def test_a_row_says_what_its_records_say(tmp_path: Path) -> None:
     numbers = {"skill": 0.75, "mse_m2": 1e-4, "euclidean_m": 0.01, "fit_s": 1.5, "adapt_s": 0.001, "predict_s": 1e-5}
     assert {name: float(row[name]) for name in numbers} == pytest.approx(numbers)
     assert list(row) == leaderboard.COLUMNS
+
+
+def test_the_page_on_the_board_explains_every_column() -> None:
+    page = (Path(__file__).parent.parent / "docs" / "leaderboard.md").read_text()
+    heads = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
+    assert sorted(re.findall(r"`(\w+)`", " ".join(heads))) == sorted(leaderboard.COLUMNS)
+
+
+def test_intervals_end_where_scores_do(tmp_path: Path) -> None:
+    few = record(K=(10,))
+    spread = [few.cells[0].domains[0].model_copy(update={"domain": f"meta-learning/{i:05d}", "mse": mse})
+              for i, mse in enumerate((1e-6, 3e-4))]  # fmt: skip
+    one = few.model_copy(update={"cells": [few.cells[0].model_copy(update={"domains": spread})]})
+    (row,) = rows_of(csv_of([one], tmp_path))
+    assert (float(row["mse_low"]), float(row["skill_high"])) == (0, 1)
+    assert float(row["mse_high"]) > float(row["mse_m2"]) > 0
 
 
 def test_seeds_are_averaged(tmp_path: Path) -> None:

@@ -148,6 +148,8 @@ def _statistics(frame: pd.DataFrame, privileged: Container[tuple[str, str]]) -> 
     values = pd.DataFrame(list(out.values())).rename(columns=names).astype({"mse_low": float, "mse_high": float})
     skills = ["skill", "skill_low", "skill_high"]
     values[skills] = values[skills].round(DIGITS) + 0.0  # -0.0 is 0
+    # Student's intervals of few domains may reach where no score can be
+    values["mse_low"], values["skill_high"] = values["mse_low"].clip(lower=0), values["skill_high"].clip(upper=1)
     table = pd.DataFrame(list(out), columns=ROW).astype({"task_version": int}).join(values)
     means = frame.groupby(ROW)[[name for name in MEANS if name in frame]].mean().reset_index()
     return table.merge(means.rename(columns=MEANS), on=ROW, validate="one_to_one")
