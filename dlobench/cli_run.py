@@ -21,7 +21,9 @@ if TYPE_CHECKING:
     from dlobench.bench.record import Record
     from dlobench.bench.run import Fitting
 
-TimeLimit = Annotated[float, typer.Option(help="Seconds that each call into the plugin may take; its import has 120 at least.")]
+TimeLimit = Annotated[
+    float, typer.Option(help="Seconds that each call into the plugin may take; its import has 120 at least.")
+]
 MemoryLimit = Annotated[
     float | None, typer.Option(help="GB that the plugin may hold. Default: three quarters of the machine's.")
 ]

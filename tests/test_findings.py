@@ -109,6 +109,24 @@ def test_maml_is_held_against_multitask_as_on_the_board() -> None:
     assert one.found.estimate == pytest.approx(means["multitask"] - means["maml"], rel=1e-6)
 
 
+def test_a_race_is_told_apart_and_decides_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    untimed = [one for one in read(RESULTS, "meta").records if one.model in ("maml", "multitask")]
+    timed = [
+        one.model_copy(
+            update={
+                "config": one.config[::-1],
+                "provenance": one.provenance.model_copy(update={"budget": {"steps": None, "minutes": 4.0}}),
+            }
+        )
+        for one in untimed
+    ]
+    monkeypatch.setattr(findings, "everything", lambda results: untimed)
+    assert not list(findings.of_race(RESULTS))
+    monkeypatch.setattr(findings, "everything", lambda results: [*untimed, *timed])
+    found = list(findings.of_race(RESULTS))
+    assert found and all("fits of 4 minutes" in one.statistic and not one.decides for one in found)
+
+
 def test_nothing_to_go_by_says_what_to_run(tmp_path: Path) -> None:
     with pytest.raises(RunError, match="dlobench run --task horizon_sweep"):
         findings.answers(tmp_path)
