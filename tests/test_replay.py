@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -190,8 +191,10 @@ def run(example: str, *arguments: str, **environment: str) -> str:
 
 
 def test_the_rollout_example_collects_a_rollout() -> None:
-    printed = run("torchrl_rollout.py", "3")
-    assert "batch_size=torch.Size([3])" in printed and "dlo: Tensor(shape=torch.Size([3, 32, 3])" in printed
+    printed = run("torchrl_rollout.py", "8")
+    assert "batch_size=torch.Size([8])" in printed and "dlo: Tensor(shape=torch.Size([8, 32, 3])" in printed
+    moved = json.loads(printed.splitlines()[-1].partition(": ")[2])
+    assert len(moved) == 8 and max(moved) > 5, "mm: the policy reaches the DLO"
 
 
 def test_the_reading_example_reads(folder: Path) -> None:
