@@ -1,4 +1,4 @@
-"""Collects a rollout with torchrl, of a policy that pushes towards the DLO: `python examples/torchrl_rollout.py [pushes]`."""
+"""Collects a rollout with torchrl under a policy that pushes towards the DLO; takes the number of pushes."""
 
 import sys
 
