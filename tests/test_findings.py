@@ -141,6 +141,8 @@ def test_the_page_answers_all_five() -> None:
     text = PAGE.read_text()
     titles = re.findall(r"^## ([1-5])\. .*: (confirmed|contradicted|undecided)", text, flags=re.M)
     assert [number for number, _ in titles] == list("12345")
+    summary = re.findall(r"^\| ([1-5])\. [^|]*\| (confirmed|contradicted|undecided)", text, flags=re.M)
+    assert summary == titles, "the table above says the same"
     verdicts: dict[str, list[str]] = {}
     for one in findings.answers(RESULTS)[0]:
         verdicts.setdefault(one.finding[0], []).extend([one.verdict] if one.decides else [])
