@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from drawing import main
-from recorded import Recorded, choose, everything, markdown, read, scored
+from recorded import Recorded, choose, everything, log_errors, markdown, read, scored
 
-from dlobench.bench.matrix import Matrix, difference, grid
+from dlobench.bench.matrix import difference
 from dlobench.bench.statistics import Interval
 from dlobench.errors import RunError, UsageError
 
@@ -42,16 +42,10 @@ class Answer:
 
 def ratio(a: pd.DataFrame, b: pd.DataFrame) -> Interval:
     """Returns how many times the error of b that of a is: the geometric mean over domains, paired."""
-    one, other = (_logs(frame) for frame in (a, b))
+    one, other = (log_errors(frame) for frame in (a, b))
     found = (one - other).interval()
     low, high = (None if end is None else float(np.exp(end)) for end in (found.low, found.high))
     return Interval(float(np.exp(found.estimate)), low, high, found.domains, found.seeds)
-
-
-def _logs(frame: pd.DataFrame) -> Matrix:
-    """Returns the matrix of the logarithms of mean Euclidean errors."""
-    one = grid(frame, "euclidean")
-    return Matrix(np.log(one.values), one.weights, one.seeds, one.domains, "log euclidean")
 
 
 def of_horizon(sweep: Recorded) -> Iterator[Answer]:

@@ -10,15 +10,16 @@ from pathlib import Path
 import numpy as np
 from drawing import main, save
 from matplotlib.figure import Figure
-from recorded import Recorded, across, choose, everything, look, markdown, missing, scored, shown
+from recorded import Recorded, across, choose, everything, log_errors, look, markdown, missing, scored, shown
 
-from dlobench.bench.matrix import grid
 from dlobench.bench.statistics import LEVEL, Array, Interval, counts
 from dlobench.data.sets import domain
 from dlobench.domain import Domain
 from dlobench.errors import UsageError
 
 COLUMNS = 5  # of panels
+# Pairs by which questions are answered: where the ratio of their errors keeps still, the answer holds everywhere
+ANSWERS = ("maml", "multitask"), ("gnn", "mlp"), ("gnn_context", "gnn"), ("gnn_context", "maml")
 TASKS = ("meta", "meta_objects")  # the first has DLOs of one length and no rigid bodies
 
 
@@ -87,13 +88,13 @@ def regress(columns: dict[str, Array], y: Array, seeds: tuple[str, ...], names: 
 
 
 def regressions(of: Recorded) -> dict[str, Regression]:
-    """Returns the regression of each model over the domains that all of its seeds have."""
-    out = {}
-    for name in of.names:
-        errors = grid(of.where(name=name).frame, "euclidean").filled()
-        columns = design([domain(each) for each in errors.domains])
-        out[name] = regress(columns, np.log(errors.values), errors.seeds, errors.domains)
-    return out
+    """Returns the regression of each model, and of the pairs of `ANSWERS`, over the domains that all seeds have."""
+    logs = {name: log_errors(of.where(name=name).frame).filled() for name in of.names}
+    logs |= {f"{a} ÷ {b}": logs[a] - logs[b] for a, b in ANSWERS if {a, b} <= set(logs)}
+    return {
+        name: regress(design([domain(each) for each in one.domains]), one.values, one.seeds, one.domains)
+        for name, one in logs.items()
+    }
 
 
 def percent(effect: Interval) -> Interval:
@@ -113,7 +114,7 @@ def draw(results: Path, out: Path) -> None:
 
 
 def panels(of: Recorded, called: str, out: Path) -> None:
-    """Draws a panel of effects for each model, at the largest K, and writes them as a table."""
+    """Draws a panel of effects for each model and pair, at the largest K, and writes them as a table."""
     of = of.where(trajectories=of.frame["trajectories"].max(), K=of.frame["K"].max())
     found = regressions(of)
     effects = list(dict.fromkeys(name for one in found.values() for name in one.effects))

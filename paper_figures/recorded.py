@@ -13,7 +13,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullLocator
 
-from dlobench.bench.matrix import grids, intervals_of
+from dlobench.bench.matrix import Matrix, grid, grids, intervals_of
 from dlobench.bench.record import Record
 from dlobench.bench.results import read_all
 from dlobench.bench.scores import scores
@@ -163,6 +163,12 @@ def adapting(of: Recorded) -> list[str]:
     of_domain = of.frame.groupby(["name", "trajectories", "horizon", "seed", "domain"])["mse"]
     spread = (of_domain.max() - of_domain.min()).groupby("name").max()
     return [name for name in of.names if spread[name] > 0]
+
+
+def log_errors(frame: pd.DataFrame) -> Matrix:
+    """Returns the matrix of the logarithms of mean Euclidean errors (m) of one model in one cell."""
+    one = grid(frame, "euclidean")
+    return replace(one, values=np.log(one.values), of="log euclidean")
 
 
 def missing(task: str, *models: str, what: str = "record", scale: str = "small") -> RunError:

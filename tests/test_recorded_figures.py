@@ -289,6 +289,16 @@ def test_a_known_effect_is_recovered_and_none_is_found_where_none_is() -> None:
         physics.regress({name: one[:8] for name, one in columns.items()}, y[:, :8], ("0", "1"), names[:8])
 
 
+def test_the_ratio_of_two_models_has_the_difference_of_their_effects() -> None:
+    of = recorded.read(RESULTS, "meta").where(K=10)
+    of = of.where(name=["maml", "multitask"], trajectories=of.frame["trajectories"].max())
+    found = physics.regressions(of)
+    assert list(found) == ["multitask", "maml", "maml ÷ multitask"]
+    for name, one in found["maml ÷ multitask"].effects.items():
+        apart = found["maml"].effects[name].estimate - found["multitask"].effects[name].estimate
+        assert one.estimate == pytest.approx(apart)
+
+
 def test_what_is_the_same_everywhere_has_no_effect() -> None:
     names = [f"meta-learning/{i}" for i in range(6300) if find("meta-learning").cell(i).length == 0.16][:40]
     assert "length" not in physics.design([domain(name) for name in names])
