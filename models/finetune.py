@@ -13,7 +13,7 @@ from dlobench.bench.model import Model, Setting
 from dlobench.errors import RunError
 from dlobench.nn.episodes import Batch, draw
 from dlobench.nn.fit import Network, Plan, positive
-from dlobench.nn.networks import Layers, gradient, mlp, stacked, weighted_mse
+from dlobench.nn.networks import Layers, mlp, passes, stacked, weighted_mse
 from dlobench.nn.regression import Regression, regress
 from dlobench.nn.windows import Target, Windows
 from dlobench.trajectories import Prediction, Query, Trajectories
@@ -25,7 +25,7 @@ def steps(layers: Layers, support: Batch, rate: float) -> Iterator[Layers]:
     """Yields N networks, stacked, after each further gradient step from `layers` on their own task."""
     stack = stacked(layers, len(support[0]))
     while True:
-        slopes = gradient(stack, *support, last=len(stack))
+        slopes = passes(stack, *support, last=len(stack)).gradient()
         stack = [(w - rate * dw, b - rate * db) for (w, b), (dw, db) in zip(stack, slopes, strict=True)]
         yield stack
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from dlobench.bench.model import Setting
 from dlobench.errors import RunError, UsageError
 from dlobench.nn import episodes, meta, networks
 from dlobench.nn.budget import Log
-from dlobench.nn.inner import Inner, inner_step, meta_loss
+from dlobench.nn.inner import Adapts, Inner, RatePer, by_weight, inner_step, meta_loss
 from dlobench.nn.windows import standardise
 
 maml = load("maml")
@@ -70,6 +70,44 @@ def test_batched_meta_gradient_equals_a_loop_over_tasks() -> None:
     torch.testing.assert_close(batched, looped, rtol=1e-12, atol=1e-12)
     for ours, theirs in zip(torch.autograd.grad(batched, learned), torch.autograd.grad(looped, learned), strict=True):
         torch.testing.assert_close(ours, theirs, rtol=1e-10, atol=1e-12)
+        assert ours.abs().max() > 1e-6
+
+
+def recorded_loss(layers: networks.Layers, rates: Tensor, support: Any, query: Any, inner: Inner) -> Tensor:
+    """Computes the meta loss of any options with autograd, which records every inner step and differentiates it."""
+    now, start = networks.stacked(layers, len(support[0])), networks.stacked(layers, len(support[0]))
+    moving = len(layers) if inner.adapts == "all" else 1
+    scales = networks.flat(by_weight(rates, layers[-moving:]))
+    for _ in range(inner.inner_steps):
+        loss = networks.weighted_mse(networks.mlp(now, support[0]), *support[1:]).sum()
+        moved = networks.flat(now[-moving:])
+        slopes = torch.autograd.grad(loss, moved, create_graph=not inner.first_order)
+        tensors = [w - r * g for w, r, g in zip(moved, scales, slopes, strict=True)]
+        now = start[:-moving] + list(zip(tensors[::2], tensors[1::2], strict=True))
+    return networks.weighted_mse(networks.mlp(now, query[0]), *query[1:]).mean()
+
+
+OPTIONS = [
+    Inner(steps, first_order, rate_per, adapts)
+    for steps in (1, 3)
+    for first_order in (False, True)
+    for rate_per in get_args(RatePer)
+    for adapts in get_args(Adapts)
+]
+
+
+@pytest.mark.parametrize("inner", OPTIONS, ids=str)
+@pytest.mark.parametrize("part", [1, 4096])
+def test_the_gradient_is_that_of_autograd(inner: Inner, part: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dlobench.nn.inner.PART", part)  # tasks one by one, or all at once
+    layers, _, support, query = problem()
+    count = inner.rates(layers)
+    rates = torch.rand(count, generator=generator(), dtype=torch.float64).add(0.2).requires_grad_()
+    learned = [*networks.flat(layers), rates]
+    losses = meta_loss(layers, rates, support, query, inner=inner), recorded_loss(layers, rates, support, query, inner)
+    torch.testing.assert_close(*losses, rtol=1e-12, atol=1e-12)
+    for ours, theirs in zip(*(torch.autograd.grad(loss, learned) for loss in losses), strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=1e-9, atol=1e-12)
         assert ours.abs().max() > 1e-6
 
 

@@ -20,7 +20,7 @@ from toy import toy_scene
 
 from dlobench.bench.plugins import load_model
 from dlobench.nn.graph import GraphNetwork
-from dlobench.nn.inner import Inner, RatePer, meta_loss
+from dlobench.nn.inner import PART, Inner, RatePer, meta_loss
 from dlobench.nn.networks import Layers, flat, initial, mlp, weighted_mse
 
 STEP = "a meta step of maml, forward and backward, ms; × how many times as fast as a loop over tasks, or learn2learn"
@@ -54,6 +54,33 @@ def looped(layers: Layers, rates: Tensor, support: Any, query: Any) -> Tensor:
     return torch.stack(losses).mean()
 
 
+def products_of_step(layers: Layers, support: Tensor, query: Tensor) -> Callable[[], None]:
+    """Returns a function that multiplies as a meta step of second order has to, and does nothing else.
+
+    Of a layer and the windows that it sees there are three products: forward, back to what went in (not of the first
+    layer), and to the weights. Queries take each once, the support three times: its gradient, and that of its gradient,
+    in which each factor changes in turn (what went into the first layer does not).
+    """
+    each, factors = max(1, PART // support.shape[1]), []
+    for k, (weight, _) in enumerate(layers):
+        w = weight.detach().expand(len(support), *weight.shape).contiguous()
+        for batch, times in ((query, 1), (support, 3 if k else 2)):
+            x, y = (torch.ones(*batch.shape[:2], size) for size in weight.shape)
+            factors += [
+                (k, times, *some) for some in zip(*(torch.split(part, each) for part in (x, y, w)), strict=True)
+            ]
+
+    def run() -> None:
+        for k, times, x, y, w in factors:
+            for _ in range(times):
+                torch.bmm(x, w)
+                torch.bmm(x.mT, y)
+                if k:
+                    torch.bmm(y, w.mT)
+
+    return run
+
+
 def peer_of(name: str) -> Callable[..., Tensor]:
     """Returns the meta loss of a peer; what takes time once, such as loading the plugin, is done here."""
     if name == "loop":
@@ -83,7 +110,9 @@ def test_meta_step(benchmark: BenchmarkFixture, tables: Tables, N: int, K: int, 
     ours, theirs = paired(lambda: step(stacked), lambda: step(theirs_loss), ROUNDS if benchmark.enabled else 1)
     benchmark.pedantic(lambda: step(stacked), rounds=1)  # type: ignore[no-untyped-call]
     if benchmark.enabled:
+        bare, _ = paired(products_of_step(layers, support[0], query[0]), lambda: None, ROUNDS)
         line = f"N = {N:<3} K = {K:<3}{1e3 * ours:8.1f}, {peer} {1e3 * theirs:8.1f}  × {theirs / ours:.1f}"
+        line += f", products alone {1e3 * bare:.1f}"
         tables.setdefault(STEP, []).append(line)
 
 
