@@ -108,7 +108,13 @@ def draw(results: Path, out: Path) -> None:
     few -= {0, of.frame["domain"].nunique()}  # which are not drawn hollow
     hollow = f"; hollow: the {' or '.join(map(str, sorted(few)))} domains that have every size" if few else ""
     pushes = int(of.where(trajectories=common(of)).frame["pushes"].iloc[0])
-    save(figure, "fig3", out, f"{of.footnote()}{hollow}; below after {pushes:,} pushes; means of domains")
+    save(
+        figure,
+        "fig3",
+        out,
+        f"{of.footnote()}{hollow}; below after {pushes:,} pushes; means of domains, the "
+        "paper's are medians of another simulator's",
+    )
 
 
 if __name__ == "__main__":
