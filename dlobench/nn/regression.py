@@ -68,6 +68,7 @@ class Member:
         )
         self.rows = self.windows.inputs.flatten(0, 1), self.windows.targets.flatten(0, 1)
         self.unseen = self.scaling.windows(job.valid, device) if job.valid else None
+        self.weighted = False  # whether its weights are in place for good
         self.generator = torch.Generator().manual_seed(job.seed)
         sizes = [self.windows.inputs.shape[-1], *[how.width] * how.depth, COORDINATES]
         self.layers = initial(sizes, self.generator, device)
@@ -84,7 +85,9 @@ class Member:
         """Copies a batch of windows (batch,) of these domains (batch,) into its place in a stack."""
         torch.index_select(self.rows[0], 0, index, out=inputs)
         torch.index_select(self.rows[1], 0, index, out=targets)
-        torch.index_select(self.windows.weight, 0, domain, out=weight)
+        if not self.weighted:
+            torch.index_select(self.windows.weight, 0, domain, out=weight)
+            self.weighted = len(self.windows.weight) == 1  # that of the only domain stays where it is
 
     def report(self, step: int, loss: float, layers: Layers, *, last: bool) -> bool:
         """Reports and validates as `Course` does; returns whether to stop, with the best layers kept."""

@@ -80,4 +80,6 @@ class Stack:
 
     def keep(self, numbers: Sequence[int]) -> None:
         """Drops all networks but these."""
+        weight = self.weight[list(numbers)]
         self._hold(*([each[list(numbers)] for each in flat(self._layers(joined))] for joined in self.state))
+        self.weight.copy_(weight)
