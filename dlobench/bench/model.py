@@ -26,7 +26,8 @@ class Setting:
 class Model(ABC):
     """Describes a dynamics model. Subclasses are dataclasses; their fields are the hyperparameters.
 
-    A plugin file defines exactly one subclass. It is built with a seed and a device, then fitted once.
+    A plugin file defines exactly one subclass. It is built with a seed and a device, then fitted once; a run builds one
+    more beforehand, so that `__post_init__` can refuse hyperparameters before there are data.
     The same seed and data give the same predictions on a CPU.
     """
 
