@@ -19,7 +19,7 @@ SCALES = ("paper", "small", "mini")  # the largest that there is
 
 
 def table(board: Path) -> str:
-    """Returns the first rows of `meta` at K = 10, at the largest scale on the board, as Markdown; in mm and cm².
+    """Returns the first models of `meta` at K = 10, at the largest scale on the board, as Markdown; in mm and cm².
 
     Raises `RunError` for what is no board, or one without such rows.
     """
@@ -42,7 +42,8 @@ def table(board: Path) -> str:
         "| place | model | seeds | skill (95 %) | error, mm | MSE, cm² |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
-    for row in [row for row in found if row["cell"] == cell][:ROWS]:
+    best = {row["model"]: row for row in reversed(found) if row["cell"] == cell}  # of several configurations
+    for row in sorted(best.values(), key=found.index)[:ROWS]:
         skill, low, high = (f"{float(row[name]):.3f}" for name in ("skill", "skill_low", "skill_high"))
         distance, mse = f"{1e3 * float(row['euclidean_m']):.1f}", f"{1e4 * float(row['mse_m2']):.2f}"
         lines.append(

@@ -65,6 +65,23 @@ def test_intervals_end_where_scores_do(tmp_path: Path) -> None:
     assert float(row["mse_high"]) > float(row["mse_m2"]) > 0
 
 
+def test_configurations_of_a_model_say_in_what_they_differ(tmp_path: Path) -> None:
+    def of(config: str, width: int, minutes: float | None) -> Record:
+        one = record(config=config, K=(10,))
+        about = {"hyperparameters": {"width": width, "depth": 6}, "budget": {"steps": None, "minutes": minutes}}
+        return one.model_copy(update={"provenance": one.provenance.model_copy(update=about)})
+
+    records = [
+        of("aaaaaaaa", 32, None),
+        of("bbbbbbbb", 64, None),
+        of("cccccccc", 32, 4.0),
+        record(model="maml", K=(10,)),
+    ]
+    told = {row["config"]: row["settings"] for row in rows_of(csv_of(records, tmp_path)) if row["model"] == "mlp"}
+    assert told == {"aaaaaaaa": "width=32", "bbbbbbbb": "width=64", "cccccccc": "width=32, max_minutes=4.0"}
+    assert [row["settings"] for row in rows_of(csv_of(records, tmp_path)) if row["model"] == "maml"] == [""]
+
+
 def test_seeds_are_averaged(tmp_path: Path) -> None:
     records = [record(seed=seed, mse=mse, K=(10,)) for seed, mse in ((0, 1e-4), (1, 2e-4), (5, 6e-4))]
     (row,) = rows_of(csv_of(records, tmp_path))

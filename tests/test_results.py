@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pydantic import ValidationError
 
+import dlobench
 from dlobench.bench.record import CellScore, DomainScore, FitReport, Provenance, Record
-from dlobench.bench.results import read, read_all, write
+from dlobench.bench.results import checkout, read, read_all, write
 from dlobench.errors import RunError
 
 
@@ -209,3 +211,26 @@ def test_a_score_without_its_fit_is_refused(tmp_path: Path) -> None:
     path = write(record(), tmp_path)
     edit(path, lambda content: content.update(fits=[]))
     check_refused(tmp_path, path, "fit")
+
+
+def test_records_are_no_change_of_a_checkout_and_all_else_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def git(*arguments: str) -> None:
+        who = ["-c", "user.name=a", "-c", "user.email=a@example.org"]
+        subprocess.run(["git", "-C", str(tmp_path), *who, *arguments], check=True, capture_output=True)
+
+    package, results = tmp_path / "dlobench" / "__init__.py", tmp_path / "leaderboard" / "results"
+    package.parent.mkdir()
+    results.mkdir(parents=True)
+    package.write_text("")
+    git("init")
+    git("add", ".")
+    git("commit", "-m", "first")
+    monkeypatch.setattr(dlobench, "__file__", str(package))
+    assert checkout()[1] is False
+    (results / "seed0.json").write_text("{}")
+    assert checkout()[1] is False
+    (package.parent / "new.py").write_text("")
+    assert checkout()[1] is True
+    (package.parent / "new.py").unlink()
+    package.write_text("x = 1")
+    assert checkout()[1] is True

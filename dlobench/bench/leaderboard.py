@@ -35,7 +35,7 @@ MEANS = {
     "predict_seconds": "predict_s",
 }
 COLUMNS = [
-    "task", "task_version", "scale", "cell", "model", "config", "seeds", "place", "tie",
+    "task", "task_version", "scale", "cell", "model", "config", "settings", "seeds", "place", "tie",
     "skill", "skill_low", "skill_high", "mse_m2", "mse_low", "mse_high", "euclidean_m", "energy_m",
     "spacing", "overlap", "coverage90", "fit_s", "adapt_s", "predict_s", "skill_equal_time", "parameters",
     "trajectories", "horizon", "K", "without", "domains", "rank", "rank_low", "rank_high", "data", "split",
@@ -63,6 +63,8 @@ def table(records: list[Record], tidy: pd.DataFrame | None = None) -> pd.DataFra
     if not (bare := out[out["skill"].isna()]).empty:
         raise RunError("no domain of {} was scored with every seed of {}@{}".format(*bare[ROW[-3:]].iloc[0]))
     out["skill_equal_time"] = _equal_time(out)
+    for _, of in out.groupby([*GROUP, "model"]):
+        out.loc[of.index, "settings"] = _apart([json.loads(one) for one in of["settings"]])
     out = out.sort_values([*GROUP, *SWEEP, "cell", "order"], ignore_index=True, kind="stable")
     return out.assign(data=out["data"].str[:8], split=out["split"].str[:8]).reindex(columns=COLUMNS)
 
@@ -73,7 +75,9 @@ def write(frame: pd.DataFrame, path: Path) -> None:
 
 
 # How the facts of a record become those of a row, over its seeds
-_FACTS = {"seeds": "nunique", "fit_s": "mean", "longest": "max", "parameters": "max", "family": "first"}
+_FACTS = {
+    "seeds": "nunique", "fit_s": "mean", "longest": "max", "parameters": "max", "family": "first", "settings": "first"
+}  # fmt: skip
 
 
 def _check(records: list[Record]) -> None:
@@ -98,6 +102,7 @@ def _rows(record: Record) -> list[dict[str, Any]]:
         "config": record.config,
         "seeds": record.seed,
         "parameters": record.parameters,
+        "settings": json.dumps(about.hyperparameters | {f"max_{name}": most for name, most in about.budget.items()}),
         "family": json.dumps([about.plugin_sha256, about.hyperparameters, about.K, about.device], sort_keys=True),
     }
     fits: dict[tuple[int, str | None], dict[int, list[float]]] = {}
@@ -112,6 +117,13 @@ def _rows(record: Record) -> list[dict[str, Any]]:
         seconds = there.get(cell.horizon) or [each for found in there.values() for each in found]
         out.append(of_record | of_cell | {"fit_s": sum(seconds), "longest": max(seconds, default=0.0)})
     return out
+
+
+def _apart(settings: list[dict[str, Any]]) -> list[str]:
+    """Returns, of the settings of each row of a model, those that are not the same in all of them, as text."""
+    names = dict.fromkeys(name for one in settings for name in one)
+    some = [name for name in names if any(one.get(name) != settings[0].get(name) for one in settings)]
+    return [", ".join(f"{name}={one[name]}" for name in some if one.get(name) is not None) for one in settings]
 
 
 def _statistics(frame: pd.DataFrame, privileged: Container[tuple[str, str]]) -> pd.DataFrame:

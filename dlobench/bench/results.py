@@ -117,7 +117,10 @@ def paths(results: Path) -> list[Path]:
 
 
 def checkout() -> tuple[str | None, bool | None]:
-    """Returns the git commit of the checkout that dlobench runs from and whether it has changes, or None twice."""
+    """Returns the git commit of the checkout that dlobench runs from and whether it has changes, or None twice.
+
+    Records are none: the one that a run has just made is not yet committed when the next begins.
+    """
     root = Path(dlobench.__file__).parents[1]
     if not (root / ".git").exists():
         return None, None
@@ -126,6 +129,6 @@ def checkout() -> tuple[str | None, bool | None]:
         return subprocess.run(["git", "-C", str(root), *arguments], capture_output=True, text=True, check=True).stdout
 
     try:
-        return git("rev-parse", "HEAD").strip(), bool(git("status", "--porcelain").strip())
+        return git("rev-parse", "HEAD").strip(), bool(git("status", "--porcelain", "--", ".", ":!leaderboard").strip())
     except (OSError, subprocess.CalledProcessError):
         return None, None

@@ -35,7 +35,7 @@ function visible() {
   const words = search.toLowerCase().split(/\s+/).filter(Boolean);
   return rows
     .filter((row) => (!task || row.task === task) && (!scale || row.scale === scale) && (!cell || row.cell === cell))
-    .filter((row) => words.every((word) => `${row.task} ${row.scale} ${row.cell} ${named(row)} ${row.without}`.toLowerCase().includes(word)))
+    .filter((row) => words.every((word) => `${row.task} ${row.scale} ${row.cell} ${named(row)} ${row.settings} ${row.without}`.toLowerCase().includes(word)))
     .map((row) => seen(row, material)).filter(Boolean);
 }
 
@@ -57,7 +57,7 @@ const columns = [
   { title: "Place", className: number, type: "num", data: null,
     render: (_, kind, row) => (kind === "display" ? (row.place === null ? none : `${row.place}${row.tie ? `<span title="ties with a neighbour"> ≈</span>` : ""}`) : row.place ?? 1e9) },
   { title: "Model", className: "model", cellType: "th", type: "string", data: null,
-    render: (_, kind, row) => (kind === "display" ? `<button type="button" data-row="${row.id}" aria-haspopup="dialog">${text(row.model)}</button> <span class="config">${text(row.config)}</span>` : named(row)) },
+    render: (_, kind, row) => (kind === "display" ? `<button type="button" data-row="${row.id}" aria-haspopup="dialog">${text(row.model)}</button> <span class="config">${text(row.config)}</span>${row.settings && `<span class="config settings">${text(row.settings)}</span>`}` : named(row)) },
   { title: "Skill", className: number, type: "num", data: null,
     render: (_, kind, row) => (kind === "display" ? `${digits(row.skill, 3)}${interval(row.skill_low, row.skill_high, 3)}${bar(row.skill, row.skill_low, row.skill_high, ...skills)}` : row.skill ?? -1e300) },
   word("Task", (row) => row.task), word("Scale", (row) => row.scale), word("Cell", (row) => row.cell.replace(/^[^/]*\//, ""), ""),

@@ -42,7 +42,7 @@ def payload(records: Sequence[Record], frame: pd.DataFrame, tidy: pd.DataFrame) 
     for one in frame.to_dict("records"):
         key: Key = tuple(one[name] for name in ROW)
         row: dict[str, Any] = {name: _number(one[name]) for name in NUMBERS}
-        row |= {name: one[name] for name in ("scale", "cell", "model", "config", "tie", "without")}
+        row |= {name: one[name] for name in ("scale", "cell", "model", "config", "settings", "tie", "without")}
         row |= {"task": labels[tuple(one[name] for name in GROUP)], "run": number[*key[:5], *key[6:]]}
         rows.append(
             row | {"materials": materials.get(key, {}), "sweeps": sweeps.get(key, {}), **calibrated.get(key, {})}
