@@ -6,6 +6,7 @@ import csv
 import subprocess
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib import import_module
 from itertools import combinations
 from pathlib import Path
@@ -13,6 +14,7 @@ from pathlib import Path
 import bias
 import calibration
 import drawing
+import length
 import numpy as np
 import ood
 import pareto
@@ -33,7 +35,7 @@ from dlobench.errors import RunError, UsageError
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "leaderboard" / "results"
 SCRIPTS = [
-    "bias", "calibration", "fig3", "ood", "pareto", "physics", "power_law", "support", "table1",
+    "bias", "calibration", "fig3", "length", "ood", "pareto", "physics", "power_law", "support", "table1",
 ]  # fmt: skip
 HORIZONS, SIZES = (1, 4), (50, 500, 5000)
 
@@ -111,7 +113,7 @@ def test_every_script_draws_the_committed_records_or_says_what_to_run(
 ) -> None:
     lacks = drawn(script, RESULTS, tmp_path, capsys)
     assert lacks is None or "`dlobench run --task" in lacks
-    if script in ("ood", "pareto", "physics", "support", "table1"):  # of these there are records
+    if script in ("length", "ood", "pareto", "physics", "support", "table1"):  # of these there are records
         assert lacks is None
 
 
@@ -297,6 +299,17 @@ def test_the_ratio_of_two_models_has_the_difference_of_their_effects() -> None:
     for name, one in found["maml ÷ multitask"].effects.items():
         apart = found["maml"].effects[name].estimate - found["multitask"].effects[name].estimate
         assert one.estimate == pytest.approx(apart)
+
+
+def test_lengths_are_paired_by_what_else_tells_domains_apart() -> None:
+    of = recorded.read(RESULTS, "length_sweep")
+    before = length.growth(of)
+    frame = of.frame.copy()
+    frame.loc[frame["length"] == "16cm", "euclidean"] *= 3
+    after = length.growth(replace(of, frame=frame))
+    assert list(before) == [(name, n) for name in of.names for n in (1, 2, 4, 8)]
+    for key, one in before.items():
+        assert one.domains == 9 and after[key].estimate == pytest.approx(3 * one.estimate)
 
 
 def test_what_is_the_same_everywhere_has_no_effect() -> None:
