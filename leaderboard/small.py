@@ -78,6 +78,7 @@ PLAN = (
     *(Run("horizon_sweep", "mlp", seeds=(0,), settings=settings, **FIXED) for settings in OTHERWISE),
     Run("length_sweep", "ridge", seeds=(0,), expected=0.05),
     *(Run("length_sweep", **limits, seeds=(0,)) for limits in APART),
+    *(Run("length_sweep", "mlp", seeds=(0,), settings=settings, **FIXED) for settings in OTHERWISE),
     *(Run(task, "persistence", seeds=(0,), expected=0.1) for task in ("meta_noisy", "meta_objects", "ood")),
     *(Run("meta_noisy", model, expected=META[model]) for model in ("multitask", *ADAPTING)),
     *(Run("meta_objects", model, seeds=(0,), expected=5) for model in ("multitask", "gnn", *ADAPTING)),

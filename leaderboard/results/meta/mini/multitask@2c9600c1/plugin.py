@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from dlobench.bench.model import Model, Setting
-from dlobench.nn.fit import Network, Plan, Regression, regress
+from dlobench.nn.fit import Network, Plan
+from dlobench.nn.regression import Regression, regress
 from dlobench.nn.windows import Target
 from dlobench.trajectories import Prediction, Query, Trajectories
 
@@ -25,15 +26,19 @@ class Multitask(Model):
     depth: int = 6  # hidden layers
     learning_rate: float = 1e-3
     batch: int = 64  # windows
-    steps: int = 40_000
-    patience: int = 20  # validations, 500 steps apart, without a new best
+    steps: int = 200_000
+    patience: int = 40  # validations, 500 steps apart, without a new best
     target: Target = "displacement"
 
     network: Network = field(init=False, repr=False, compare=False)
 
-    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
-        """Pools the windows of all training domains and stops on the validation domains."""
-        how = Regression(
+    def __post_init__(self) -> None:
+        """Raises `UsageError` for hyperparameters that nothing can be learned with."""
+        self._how()
+
+    def _how(self) -> Regression:
+        """Returns what to learn."""
+        return Regression(
             width=self.width,
             depth=self.depth,
             bodies=False,
@@ -41,8 +46,11 @@ class Multitask(Model):
             batch=self.batch,
             plan=Plan(self.steps, self.learning_rate, self.patience),
         )
+
+    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
+        """Pools the windows of all training domains and stops on the validation domains."""
         self.network = regress(
-            how,
+            self._how(),
             train,
             valid,
             horizon=setting.horizon,

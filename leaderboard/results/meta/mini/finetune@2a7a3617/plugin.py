@@ -12,8 +12,9 @@ import torch
 from dlobench.bench.model import Model, Setting
 from dlobench.errors import RunError
 from dlobench.nn.episodes import Batch, draw
-from dlobench.nn.fit import Network, Plan, Regression, positive, regress
-from dlobench.nn.networks import Layers, mlp, stacked, weighted_mse
+from dlobench.nn.fit import Network, Plan, positive
+from dlobench.nn.networks import Layers, mlp, passes, stacked, weighted_mse
+from dlobench.nn.regression import Regression, regress
 from dlobench.nn.windows import Target, Windows
 from dlobench.trajectories import Prediction, Query, Trajectories
 
@@ -22,14 +23,9 @@ RATES = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # of the gradient steps that are tri
 
 def steps(layers: Layers, support: Batch, rate: float) -> Iterator[Layers]:
     """Yields N networks, stacked, after each further gradient step from `layers` on their own task."""
-    inputs, targets, weight = support
-
-    def loss(stack: Layers) -> torch.Tensor:
-        return weighted_mse(mlp(stack, inputs), targets, weight).sum()
-
-    stack = stacked(layers, len(inputs))
+    stack = stacked(layers, len(support[0]))
     while True:
-        slopes = torch.func.grad(loss)(stack)
+        slopes = passes(stack, *support, last=len(stack)).gradient()
         stack = [(w - rate * dw, b - rate * db) for (w, b), (dw, db) in zip(stack, slopes, strict=True)]
         yield stack
 
@@ -54,8 +50,8 @@ class Finetune(Model):
     depth: int = 6  # hidden layers
     learning_rate: float = 1e-3
     batch: int = 64  # windows
-    steps: int = 40_000
-    patience: int = 20  # validations, 500 steps apart, without a new best
+    steps: int = 200_000
+    patience: int = 40  # validations, 500 steps apart, without a new best
     most: int = 32  # gradient steps of an adaptation
     draws: int = 4  # supports of each validation domain that the choice looks at
     target: Target = "displacement"
@@ -63,10 +59,14 @@ class Finetune(Model):
     network: Network = field(init=False, repr=False, compare=False)
     chosen: dict[int, tuple[float, int]] = field(init=False, repr=False, compare=False)  # rate and steps by K
 
-    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
-        """Pools the windows of all training domains, stops on the validation domains, and chooses rate and steps."""
+    def __post_init__(self) -> None:
+        """Raises `UsageError` for hyperparameters that nothing can be learned with."""
         positive(self, "most", "draws")
-        how = Regression(
+        self._how()
+
+    def _how(self) -> Regression:
+        """Returns what to learn."""
+        return Regression(
             width=self.width,
             depth=self.depth,
             bodies=False,
@@ -74,8 +74,11 @@ class Finetune(Model):
             batch=self.batch,
             plan=Plan(self.steps, self.learning_rate, self.patience),
         )
+
+    def fit(self, train: Sequence[Trajectories], valid: Sequence[Trajectories], setting: Setting) -> None:
+        """Pools the windows of all training domains, stops on the validation domains, and chooses rate and steps."""
         self.network = regress(
-            how,
+            self._how(),
             train,
             valid,
             horizon=setting.horizon,
