@@ -10,7 +10,7 @@ from drawing import main, save
 from fig3 import common
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from recorded import Recorded, across, look, markdown, missing, read, shown
+from recorded import Recorded, across, everything, look, markdown, missing, read, shown
 
 from dlobench.bench.matrix import grid
 from dlobench.bench.statistics import Interval, interval
@@ -26,8 +26,9 @@ def groups(of: Recorded) -> Iterator[tuple[str, Recorded]]:
         yield material, of.where(material=material)
     for attachment in ATTACHMENTS:
         yield {"none": "not attached"}.get(attachment, f"{attachment} attachment"), of.where(attachment=attachment)
-    for objects in sorted(of.frame["objects"].unique()):
-        yield f"{objects} rigid bodies", of.where(objects=objects)
+    for column, told in (("objects", "{} rigid bodies"), ("length", "{}")):
+        if len(values := sorted(of.frame[column].unique())) > 1:
+            yield from ((told.format(value), of.where(**{column: value})) for value in values)
 
 
 def change(of: Recorded, name: str) -> Interval:
@@ -63,8 +64,14 @@ def panel(axes: Axes, found: dict[tuple[str, str], Interval], kinds: list[str], 
 
 
 def draw(results: Path, out: Path) -> None:
+    """Draws the sweep over horizons and, where it is recorded, that over lengths."""
+    panels(read(results, "horizon_sweep", "single_domain"), "bias", out)
+    if any(record.task == "length_sweep" and record.model == BASE for record in everything(results)):
+        panels(read(results, "length_sweep"), "bias_length", out)
+
+
+def panels(of: Recorded, called: str, out: Path) -> None:
     """Draws a column a horizon, a row a train size, and writes the changes as a table."""
-    of = read(results, "horizon_sweep", "single_domain")
     of = of.where(name=[name for name in of.names if name != "persistence"])  # no bias at all
     if BASE not in of.names or len(of.names) < 2:
         raise missing(of.task, "mlp", "gnn", what="pair of mlp and another model")
@@ -82,13 +89,13 @@ def draw(results: Path, out: Path) -> None:
         each.set_xlabel(f"error against {BASE}, %")
     axes[0, 0].set_yticks(range(len(kinds)), [str(kind) for kind in kinds])
     figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=len(names))
-    save(figure, "bias", out, f"{of.footnote()}; left of 0: better than {BASE}; filled: the interval leaves out 0")
+    save(figure, called, out, f"{of.footnote()}; left of 0: better than {BASE}; filled: the interval leaves out 0")
     table = [["pushes", "n", "domains", *names]]
     for pushes, horizon, kind in dict.fromkeys(key[:3] for key in found):
         cells = [found.get((pushes, horizon, kind, name)) for name in names]
         table.append([f"{pushes:,}", str(horizon), kind, *("–" if c is None else shown(c, 100, 0) for c in cells)])
     note = f"Error less that of {BASE} in percent of it, paired: below 0 is better; {of.footnote()}."
-    markdown(out / "bias.md", table, note)
+    markdown(out / f"{called}.md", table, note)
 
 
 if __name__ == "__main__":
