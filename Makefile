@@ -35,6 +35,7 @@ leaderboard: $(VENV)/installed  ## Verify the committed records, rebuild board a
 	$(BIN)/dlobench leaderboard build
 	$(BIN)/python leaderboard/top.py
 	$(BIN)/python paper_figures/findings.py --out paper_figures/tables
+	$(BIN)/python paper_figures/table1.py --out paper_figures/tables
 	git diff --exit-code --stat -- leaderboard README.md paper_figures/tables
 
 faults: $(VENV)/installed  ## Kills, flipped bytes, full disks, lost nodes: all rounds (2 minutes)

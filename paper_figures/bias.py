@@ -26,9 +26,9 @@ def groups(of: Recorded) -> Iterator[tuple[str, Recorded]]:
         yield material, of.where(material=material)
     for attachment in ATTACHMENTS:
         yield {"none": "not attached"}.get(attachment, f"{attachment} attachment"), of.where(attachment=attachment)
-    for column, told in (("objects", "{} rigid bodies"), ("length", "{}")):
+    for column, unit in (("objects", "rigid bodies"), ("length", "cm")):
         if len(values := sorted(of.frame[column].unique())) > 1:
-            yield from ((told.format(value), of.where(**{column: value})) for value in values)
+            yield from ((f"{value.removesuffix('cm')} {unit}", of.where(**{column: value})) for value in values)
 
 
 def change(of: Recorded, name: str) -> Interval:
@@ -79,7 +79,7 @@ def panels(of: Recorded, called: str, out: Path) -> None:
     sizes, horizons, kinds = (list(dict.fromkeys(key[i] for key in found)) for i in range(3))
     names = [name for name in of.names if name != BASE]
     figure = Figure(figsize=(1.8 + 1.7 * len(horizons), 0.7 + 3.2 * len(sizes)), layout="constrained")
-    axes = figure.subplots(len(sizes), len(horizons), squeeze=False, sharey=True, sharex="col")
+    axes = figure.subplots(len(sizes), len(horizons), squeeze=False, sharey=True, sharex=True)
     for row, pushes in zip(axes, sizes, strict=True):
         for each, horizon in zip(row, horizons, strict=True):
             here = {key[2:]: one for key, one in found.items() if key[:2] == (pushes, horizon)}

@@ -18,7 +18,7 @@ from dlobench.bench.statistics import Interval
 def growth(of: Recorded) -> dict[tuple[str, int], Interval]:
     """Returns how many times the error of the shortest DLOs that of the longest is, by model and horizon.
 
-    It is paired by material, attachment and bodies: lengths differ in domains, too, whose other parameters are drawn.
+    It is paired by material, attachment and bodies: domains of different length are alike in all else.
     """
     pair = of.frame["material"] + "-" + of.frame["attachment"] + "-" + of.frame["objects"]
     paired, lengths = replace(of, frame=of.frame.assign(domain=pair)), sorted(of.frame["length"].unique())
@@ -34,10 +34,9 @@ def panels(figure: Figure, of: Recorded, lengths: list[str]) -> None:
     """Draws the error against the length, a panel a horizon and a line a model."""
     horizons, found = sorted(map(int, of.frame["horizon"].unique())), of.intervals("euclidean", ["horizon", "length"])
     for panel, horizon in zip(figure.subplots(1, len(horizons), sharey=True, squeeze=False)[0], horizons, strict=True):
-        for name in of.names:
-            errorbar(
-                panel, range(len(lengths)), [found[name, str(horizon), at] for at in lengths], label=name, **look(name)
-            )
+        for i, name in enumerate(of.names):
+            x = [at + 0.05 * (i - (len(of.names) - 1) / 2) for at in range(len(lengths))]  # beside each other
+            errorbar(panel, x, [found[name, str(horizon), length] for length in lengths], label=name, **look(name))
         panel.set(title=f"n = {horizon}", xlabel="length, cm")
         panel.set_xticks(range(len(lengths)), [at.removesuffix("cm") for at in lengths])
     figure.axes[0].set_ylabel("mean Euclidean error, mm")

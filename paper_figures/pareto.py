@@ -71,7 +71,12 @@ def draw(results: Path, out: Path) -> None:
     log_mm(axes[0])
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper")
     told = f"; {', '.join(privileged)} is told the parameters" if privileged else ""
-    save(figure, "pareto", out, f"{of.footnote()}; K = {K}; times as recorded, on one of two busy cores{told}")
+    save(
+        figure,
+        "pareto",
+        out,
+        f"{of.footnote()}; K = {K}; times as recorded, by the code of then, on one of two busy cores{told}",
+    )
     rows = [["model", "error, mm", *COSTS.values()]]
     for name in of.names:
         one = cost[name]

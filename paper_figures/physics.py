@@ -20,6 +20,7 @@ from dlobench.errors import UsageError
 COLUMNS = 5  # of panels
 # Pairs by which questions are answered: where the ratio of their errors keeps still, the answer holds everywhere
 ANSWERS = ("maml", "multitask"), ("gnn", "mlp"), ("gnn_context", "gnn"), ("gnn_context", "maml")
+RATIO = {"color": "0.35", "marker": "o"}  # how a ratio looks, as no model does
 TASKS = ("meta", "meta_objects")  # the first has DLOs of one length and no rigid bodies
 
 
@@ -119,13 +120,13 @@ def panels(of: Recorded, called: str, out: Path) -> None:
     found = regressions(of)
     effects = list(dict.fromkeys(name for one in found.values() for name in one.effects))
     rows = -(-len(found) // COLUMNS)
-    figure = Figure(figsize=(1.6 + 1.5 * min(COLUMNS, len(found)), 0.6 + 2.1 * rows), layout="constrained")
+    figure = Figure(figsize=(1.6 + 1.5 * min(COLUMNS, len(found)), 0.6 + 2.2 * rows), layout="constrained")
     axes = figure.subplots(rows, min(COLUMNS, len(found)), squeeze=False, sharex=True, sharey=True)
     for panel, (name, one) in zip(axes.flat, found.items(), strict=False):
         for effect, interval in one.effects.items():
-            across(panel, effects.index(effect), percent(interval), look(name))
+            across(panel, effects.index(effect), percent(interval), RATIO if "÷" in name else look(name))
         panel.axvline(0, color="black", linewidth=0.8)
-        panel.set_title(f"{name} (R² = {one.explained:.2f})", fontsize=7)
+        panel.set_title(f"{name}\nR² = {one.explained:.2f}", fontsize=7)
     for panel in axes.flat[len(found) :]:
         panel.set_axis_off()
     for column in range(axes.shape[1]):

@@ -19,6 +19,7 @@ from dlobench.errors import UsageError
 
 TARGET = 1e-3  # m
 BEYOND = 100.0  # times the largest size that was measured: farther a law is not asked
+THIN = "hollow: few domains have that size; thin: beyond what was measured, unless the law bends"
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,14 @@ class PowerLaw:
 
     a: float  # m, at one push
     exponent: Interval  # b
+    last: Interval  # b between the two largest sizes, of the domains that have both; where fewer than two do, b
     pushes: Interval  # that bring the error down to `TARGET`; infinite where none do
+
+    @property
+    def bends(self) -> bool:
+        """Tells whether the last step brings more or less than the law says, so that it leads nowhere."""
+        low, high = self.last.low, self.last.high
+        return low is not None and high is not None and not low <= self.exponent.estimate <= high
 
     def error(self, n: Array) -> Array:
         """Returns the error after n pushes, m."""
@@ -66,7 +74,10 @@ def fit(sizes: Array, errors: Array, seeds: tuple[str, ...], domains: tuple[str,
     low, high = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], method="inverted_cdf")
     needed = float(pushes(np.array(b), np.array(height), np.array(at)))
     found = Interval(needed, float(low), float(high), len(domains), len(seeds))
-    return PowerLaw(float(np.exp(height + b * at)), exponent, found)
+    both = np.isfinite(errors[-2:]).all(axis=(0, 1))
+    step = (y[-2] - y[-1])[:, both] / np.log(sizes[-1] / sizes[-2])
+    last = interval(step, np.ones_like(step), seeds, tuple(np.array(domains)[both])) if both.sum() > 1 else exponent
+    return PowerLaw(float(np.exp(height + b * at)), exponent, last, found)
 
 
 def stacked(cells: dict[int, Matrix]) -> tuple[Array, Array, tuple[str, ...], tuple[str, ...]]:
@@ -110,15 +121,20 @@ def curves(axes: Axes, of: Recorded, found: dict[tuple[str, int], PowerLaw], hor
         rows, how = of.where(name=name, horizon=horizon).frame, look(name)
         law = found[name, horizon]
         n = np.sort(rows["pushes"].unique()).astype(float)
-        beyond = np.geomspace(n[-1], BEYOND * n[-1], 20)
         axes.plot(n, MM * law.error(n), color=how["color"], linestyle=how["linestyle"])
-        axes.plot(beyond, MM * law.error(beyond), color=how["color"], linestyle=how["linestyle"], linewidth=0.5)
+        if not law.bends:
+            beyond = np.geomspace(n[-1], BEYOND * n[-1], 20)
+            axes.plot(beyond, MM * law.error(beyond), color=how["color"], linestyle=how["linestyle"], linewidth=0.5)
         # A domain that lacks a size moves no point: each error is set beside the domain's own over all of its sizes
         logs = np.log(rows["euclidean"])
         apart = logs - np.log(law.error(rows["pushes"].to_numpy(float)))
         of_domain = apart.groupby(rows["domain"]).transform("mean")
         typical = np.exp((logs - of_domain).groupby(rows["pushes"]).mean())
-        axes.plot(typical.index, MM * typical, color=how["color"], marker=how["marker"], linestyle="")
+        measured = rows.groupby("pushes")["domain"].nunique()
+        for size, error in typical.items():
+            fill = how["color"] if measured[size] == measured.max() else "white"
+            axes.plot([size], [MM * error], **how | {"linestyle": "", "markerfacecolor": fill})
+        axes.plot([], [], **how, label=name)
     axes.axhline(MM * TARGET, color="0.5", linewidth=0.8)
     axes.set(
         xscale="log",
@@ -159,16 +175,23 @@ def draw(results: Path, out: Path) -> None:
         curves(top, of, found, horizon)
         forest(bottom, of, found, horizon)
     axes[0, 0].set_ylabel("Euclidean error of the typical domain, mm")
-    save(figure, "power_law", out, f"{of.footnote()}; thin: beyond what was measured; grey: {MM * TARGET:g} mm{told}")
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=len(of.names))
+    save(figure, "power_law", out, f"{of.footnote()}; {THIN}; grey: {MM * TARGET:g} mm{told}")
     most = BEYOND * int(of.frame["pushes"].max())
-    rows = [["model", "n", "exponent b", f"pushes for {MM * TARGET:g} mm"]]
+    rows = [["model", "n", "exponent b", "b of the last step", f"pushes for {MM * TARGET:g} mm"]]
     rows += [
-        [name, str(n), shown(one.exponent, 1, 3), said(one.pushes, most)] for (name, n), one in sorted(found.items())
+        [
+            name,
+            str(n),
+            *(shown(each, 1, 3) for each in (one.exponent, one.last)),
+            "it bends" if one.bends else said(one.pushes, most),
+        ]
+        for (name, n), one in sorted(found.items())
     ]
     fitted = ", ".join(f"{size:,}" for size in sorted(of.frame["pushes"].unique()))
     note = (
         f"error = a·n^−b of the typical domain, fitted to {fitted} pushes and extrapolated, at most "
-        f"{BEYOND:g} times as far; {of.footnote()}{told}."
+        f"{BEYOND:g} times as far, unless the interval of the last step leaves out b; {of.footnote()}{told}."
     )
     markdown(out / "power_law.md", rows, note)
 

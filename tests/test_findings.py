@@ -10,6 +10,7 @@ import findings
 import numpy as np
 import pandas as pd
 import pytest
+import table1
 from findings import Answer
 from recorded import read
 from test_recorded_figures import RESULTS, sweep
@@ -132,9 +133,11 @@ def test_nothing_to_go_by_says_what_to_run(tmp_path: Path) -> None:
         findings.answers(tmp_path)
 
 
-def test_the_page_has_the_table_of_the_committed_records(tmp_path: Path) -> None:
+def test_the_page_has_the_tables_of_the_committed_records(tmp_path: Path) -> None:
     findings.draw(RESULTS, tmp_path)
-    assert TABLE.read_text() == (tmp_path / "findings.md").read_text(), "make leaderboard"
+    table1.draw(RESULTS, tmp_path)
+    for table in (TABLE, *TABLE.parent.glob("table1.*")):
+        assert table.read_text() == (tmp_path / table.name).read_text(), "make leaderboard"
 
 
 def test_the_page_answers_all_five() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -24,6 +25,7 @@ import pytest
 import recorded
 import support
 import table1
+from matplotlib.image import imread
 from test_results import record
 
 from dlobench.bench.record import FitReport, Record
@@ -131,6 +133,21 @@ def test_sweeps_and_samples_are_drawn(
     assert drawn(script, swept, tmp_path, capsys) is None
 
 
+def test_pages_show_what_the_committed_records_draw(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(drawing, "STYLE", Path(drawing.__file__).parent / "style.mplstyle")
+    shown = set(re.findall(r"\(pictures/(\w+)\.png\)", (ROOT / "docs" / "findings.md").read_text()))
+    assert len(shown) > 5
+    for script in sorted(name for name in SCRIPTS if any(each.startswith(name) for each in shown)):
+        assert drawn(script, RESULTS, tmp_path, capsys) is None
+    for name in sorted(shown):
+        new, old = (imread(folder / f"{name}.png")[..., :3] for folder in (tmp_path, ROOT / "docs" / "pictures"))
+        assert new.shape == old.shape, f"{name}: python paper_figures --pages"
+        off = (np.abs(new - old).max(axis=-1) > 0.35).sum()  # what fewer colours change stays below
+        assert off < 30, f"{name}: {off} pixels are others; python paper_figures --pages"
+
+
 def test_a_script_runs_on_its_own(tmp_path: Path) -> None:
     command: list[str | Path] = [sys.executable, ROOT / "paper_figures" / "table1.py", "--out", tmp_path]
     subprocess.run(command, check=True, cwd=tmp_path)
@@ -227,6 +244,16 @@ def test_a_power_law_is_recovered_with_its_interval() -> None:
             assert found.low is not None and found.high is not None
             held[what] += found.low <= true <= found.high
     assert min(held.values()) >= 34
+
+
+@pytest.mark.parametrize(("last", "bends"), [(0.3, False), (0.1, True)])
+def test_a_law_that_the_last_step_contradicts_bends(last: float, bends: bool) -> None:
+    rng = np.random.default_rng(1)
+    errors = np.array([1.0, 10**-0.3, 10 ** -(0.3 + last)])[:, None, None] * np.exp(0.01 * rng.normal(size=(3, 1, 18)))
+    errors[2, :, 3:] = np.nan
+    law = power_law.fit(np.array([1e3, 1e4, 1e5]), errors, ("0",), tuple(map(str, range(18))))
+    assert law.bends == bends
+    assert law.last.estimate == pytest.approx(last, abs=0.02) and law.last.domains == 3
 
 
 def test_a_model_without_sizes_at_a_horizon_keeps_no_other_from_its_law(
